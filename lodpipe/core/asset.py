@@ -1,0 +1,172 @@
+"""An asset: meshes, materials, images and everything else that its file said."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodpipe.core.material import Image, Material
+from lodpipe.core.mesh import F64, Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Accessor:
+    """An array of the source file that no stage works on (animation, skin, a point cloud …), carried along.
+
+    `values` has one row an element, in the stored component type; `type` is glTF's (SCALAR, VEC3, MAT4, …).
+    """
+
+    values: NDArray[Any]
+    type: str
+    normalized: bool = False
+    gltf: Mapping[str, Any] = field(default_factory=dict)
+    """What else the file said of it (name, extras)."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """What one level was asked for: exactly one of the four is set.
+
+    ratio      share of the source's triangles, 0 < ratio ≤ 1
+    triangles  number of triangles, ≥ 1
+    error      largest distance to the source, in % of the source's bounding-box diagonal, ≥ 0
+    pixels     with `screen`: at most so many pixels of visible error at that share of the screen's height
+    """
+
+    ratio: float | None = None
+    triangles: int | None = None
+    error: float | None = None
+    pixels: float | None = None
+    screen: float | None = None
+
+
+@dataclass(frozen=True)
+class ErrorFigures:
+    """Distance to the source, both directions, in % of the source's bounding-box diagonal; angle in degrees."""
+
+    mean: float
+    rms: float
+    max: float
+    """Hausdorff distance, of the samples and the vertices."""
+    normal_degrees: float | None = None
+    """Mean angle between the surface normals at closest points."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lod:
+    """One level: a mesh for each of `Asset.meshes`, what it was asked for, what stopped it, how far off it is."""
+
+    meshes: tuple[Mesh, ...]
+    target: Target | None = None
+    stop_reason: str = "source"
+    estimate: float = 0.0
+    """The decimator's own estimate of the deviation, in % of the source's bounding-box diagonal."""
+    error: ErrorFigures | None = None
+    """Measured; None until a stage has measured it."""
+
+    @property
+    def triangles(self) -> int:
+        """Triangles stored (a mesh that is placed several times counts once)."""
+        return sum(len(mesh.faces) for mesh in self.meshes)
+
+    @property
+    def vertices(self) -> int:
+        """Vertices stored as a GPU sees them (wedges)."""
+        return sum(mesh.wedge_count for mesh in self.meshes)
+
+
+@dataclass(frozen=True, eq=False)
+class Asset:
+    """A model as a whole.
+
+    `meshes`, `materials` and `images` are what stages work on. `document` is the rest of the glTF JSON tree
+    (scenes, nodes, textures, samplers, skins, animations, cameras, extensions, extras); other formats are read
+    into the same form. Its mesh indices are rows of `meshes`, its image indices rows of `images`, and where it
+    names an accessor (skins, animations) the number is a row of `accessors`.
+    `lods[0]` is the source's level; without levels the tuple is empty.
+    """
+
+    name: str
+    meshes: tuple[Mesh, ...]
+    materials: tuple[Material, ...] = ()
+    images: tuple[Image, ...] = ()
+    document: Mapping[str, Any] = field(default_factory=dict)
+    accessors: tuple[Accessor, ...] = ()
+    lods: tuple[Lod, ...] = ()
+    path: Path | None = None
+    """The file that it was read from."""
+    members: tuple[Path, ...] = ()
+    """Every file that was read, the asset's own first (buffers, images, material libraries)."""
+    format: str = ""
+    """glb, gltf, obj, ply, stl or off."""
+    warnings: tuple[str, ...] = ()
+    """What the reader repaired, left out or could not find."""
+
+    @property
+    def triangles(self) -> int:
+        """Triangles stored in `meshes` (a mesh that is placed several times counts once)."""
+        return sum(len(mesh.faces) for mesh in self.meshes)
+
+    @property
+    def vertices(self) -> int:
+        """Vertices stored as a GPU sees them (wedges)."""
+        return sum(mesh.wedge_count for mesh in self.meshes)
+
+    def instances(self) -> list[tuple[int, F64]]:
+        """(mesh index, 4×4 float64 world matrix) for each placement of a mesh in the default scene.
+
+        A mesh that no node of the scene uses has no entry; a document without scenes places each mesh once.
+        """
+        nodes: list[Mapping[str, Any]] = list(self.document.get("nodes", ()))
+        scenes = self.document.get("scenes", ())
+        if not scenes or not nodes:
+            return [(i, np.eye(4)) for i in range(len(self.meshes))]
+        stack = [(i, np.eye(4)) for i in reversed(scenes[self.document.get("scene", 0)].get("nodes", ()))]
+        found = []
+        while stack:  # the reader has refused cycles
+            index, parent = stack.pop()
+            world = parent @ node_matrix(nodes[index])
+            if "mesh" in nodes[index]:
+                found.append((int(nodes[index]["mesh"]), world))
+            stack.extend((child, world) for child in reversed(nodes[index].get("children", ())))
+        return found
+
+    def fingerprint(self) -> str:
+        """Hex digest of the content (meshes, materials, images, document), for caches and tests."""
+        digest = hashlib.sha256()
+        for mesh in self.meshes:
+            digest.update(mesh.fingerprint().encode())
+        for level in self.lods:
+            digest.update("".join(mesh.fingerprint() for mesh in level.meshes).encode())
+        for image in self.images:
+            digest.update(image.data + repr((image.name, image.uri, image.problem)).encode())
+        for accessor in self.accessors:
+            digest.update(np.ascontiguousarray(accessor.values).tobytes())
+        tree = [dict(self.document), [dict(m.gltf) for m in self.materials], self.name]
+        digest.update(json.dumps(tree, sort_keys=True, default=str).encode())
+        return digest.hexdigest()
+
+
+def node_matrix(node: Mapping[str, Any]) -> F64:
+    """The 4×4 float64 local matrix of a glTF node (matrix, or translation · rotation · scale; column vectors)."""
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation * np.array(node.get("scale", (1.0, 1.0, 1.0)), np.float64)
+    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return matrix

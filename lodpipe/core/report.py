@@ -1,0 +1,62 @@
+"""What a run did, as plain data: the runner fills it in, `lodpipe.reporting` shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One figure that a stage recorded."""
+
+    name: str
+    value: float | int | str
+    unit: str = ""
+
+
+@dataclass
+class StageReport:
+    """One stage's part: what it was told, how long it took, what it measured and what it warned of."""
+
+    name: str
+    params: dict[str, Any] = field(default_factory=dict)
+    seconds: float = 0.0
+    measurements: list[Measurement] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass
+class LevelReport:
+    """One level as `report.json` lists it; see docs/formats.md for the fields."""
+
+    level: int
+    triangles: int
+    vertices: int
+    stop_reason: str
+    target: dict[str, Any] | None = None
+    files: list[str] = field(default_factory=list)
+    bytes: int = 0
+    error: dict[str, Any] | None = None
+    visual: dict[str, Any] | None = None
+    switch: dict[str, Any] | None = None
+
+
+@dataclass
+class Report:
+    """A whole run over one asset."""
+
+    asset: str
+    outcome: str = "ok"
+    """ok, warnings, or failed."""
+    source: dict[str, Any] = field(default_factory=dict)
+    stages: list[StageReport] = field(default_factory=list)
+    lods: list[LevelReport] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    error: dict[str, str] | None = None
+    """Of a failed run: stage, cause, place, advice."""
+    seconds: float = 0.0
+    peak_memory_mb: float | None = None
+    versions: dict[str, str] = field(default_factory=dict)
