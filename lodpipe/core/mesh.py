@@ -109,7 +109,8 @@ class Mesh:
             "faces": self.faces,
             "wedges": self.wedges,
             "face_primitive": self.face_primitive,
-        } | dict(self.attributes)
+        }
+        arrays.update(self.attributes)
         for name in sorted(arrays):
             digest.update(f"{name}{arrays[name].shape}".encode())
             digest.update(np.ascontiguousarray(arrays[name]).tobytes())
