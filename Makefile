@@ -66,7 +66,7 @@ test-sanitize:  ## the kernel's tests on the sanitizer build
 	@$(MAKE) kernel SANITIZE=1
 	@ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
-	LODPIPE_TEST_KERNEL=$$(echo $(SANITIZE_BUILD)/_native.*.so) $(PY) -m pytest tests/kernel $(ARGS)
+	LODPIPE_TEST_KERNEL=$$(echo $(SANITIZE_BUILD)/_native.*.so) $(PY) -m pytest --capture=sys tests/kernel $(ARGS)
 
 clean:  ## remove what was built and written, not the environment
 	rm -rf build dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis $(SAMPLES) sample_assets/*.glb $(READY)
