@@ -89,6 +89,8 @@ class Stage(Generic[P]):
     function: StageFunction[P]
     version: int = 1
     """Raised whenever the same input would give other output: cached results of older versions are not used."""
+    origin: str = "built in"
+    """Where it comes from: built in, an entry point's distribution, or a plug-in's file."""
 
     def __call__(self, asset: Asset, params: P, context: Context) -> Asset:
         return self.function(asset, params, context)

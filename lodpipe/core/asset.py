@@ -58,6 +58,23 @@ class ErrorFigures:
     normal_degrees: float | None = None
     """Mean angle between the surface normals at closest points."""
 
+    @property
+    def mean_square(self) -> float:
+        """E_i of Garland & Heckbert 1997, section 6: the mean squared distance over both directions' samples."""
+        return self.rms**2
+
+
+@dataclass(frozen=True)
+class Switch:
+    """Where a level takes over from the finer one before it.
+
+    screen_coverage  share of the screen's height that the model fills, 0…1: the level is used below it
+    distance         the same from a camera with a vertical field of view of 60°, in the model's unit
+    """
+
+    screen_coverage: float
+    distance: float
+
 
 @dataclass(frozen=True, eq=False)
 class Lod:
@@ -70,6 +87,8 @@ class Lod:
     """The decimator's own estimate of the deviation, in % of the source's bounding-box diagonal."""
     error: ErrorFigures | None = None
     """Measured; None until a stage has measured it."""
+    switch: Switch | None = None
+    """None until a stage has settled it."""
 
     @property
     def triangles(self) -> int:

@@ -50,11 +50,17 @@ class Report:
 
     asset: str
     outcome: str = "ok"
-    """ok, warnings, or failed."""
+    """ok, warnings, over_budget or failed."""
+    input: str = ""
+    """The source file as it was named."""
     source: dict[str, Any] = field(default_factory=dict)
     stages: list[StageReport] = field(default_factory=list)
     lods: list[LevelReport] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
+    """Files of the asset as a whole (all levels in one), relative to its folder."""
+    budgets: list[dict[str, Any]] = field(default_factory=list)
+    """Each figure that has a budget: level (None: the asset), figure, limit, value, ok."""
     error: dict[str, str] | None = None
     """Of a failed run: stage, cause, place, advice."""
     seconds: float = 0.0
