@@ -53,9 +53,9 @@ class Mesh:
 
     positions: F64
     faces: I32
-    wedges: I32 = None  # type: ignore[assignment]  # None stands for `faces` or zeros; never None once constructed
+    wedges: I32 = None  # type: ignore[assignment]  # never None once constructed
     attributes: Mapping[str, F32] = field(default_factory=dict)
-    face_primitive: I32 = None  # type: ignore[assignment]  # None stands for `faces` or zeros; never None once constructed
+    face_primitive: I32 = None  # type: ignore[assignment]  # never None once constructed
     primitives: tuple[Primitive, ...] = ()
     name: str = ""
     #: Why a stage must pass this mesh on as it is (skinned, morph targets, …); empty: it may be simplified.
