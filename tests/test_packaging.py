@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy
 import pytest
+
 from test_imports import imports, modules
 
 REPO = Path(__file__).parent.parent
