@@ -1,0 +1,236 @@
+"""Native code behind pure functions on arrays: checked wrappers over the compiled module."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodpipe.core.errors import InvalidMesh
+from lodpipe.core.mesh import F32, F64, I32
+from lodpipe.kernel import _native
+
+Placement = Literal["optimal", "endpoint", "midpoint"]
+Weighting = Literal["uniform", "area", "area-angle"]
+
+PLACEMENTS: tuple[Placement, ...] = ("optimal", "endpoint", "midpoint")
+WEIGHTINGS: tuple[Weighting, ...] = ("uniform", "area", "area-angle")
+#: Why a level stopped, by the kernel's number.
+STOP_REASONS = ("triangles", "error", "topology", "flip", "seams", "locked", "cancelled")
+
+
+@dataclass(frozen=True)
+class QuadricOptions:
+    """How the quadric decimator weighs, places and guards; see docs/decimation.md for when to change what."""
+
+    placement: Placement = "optimal"
+    """Where the merged vertex goes: the quadric's minimum (falling back to the best point of the edge), one of the
+    two ends (a half-edge collapse: only vertices of the input remain), or the middle."""
+    weighting: Weighting = "area"
+    """Weight of a face's plane: 1, its area / 3, or its area × its angle at the vertex / π."""
+    boundary_weight: float = 10.0
+    """Weight of the planes that hold open boundaries, × squared edge length; ≥ 0."""
+    seam_weight: float = 1.0
+    """The same at seams (one position, several wedges), material borders and edges of more than two faces."""
+    crease_weight: float = 0.1
+    """The same at edges sharper than `crease_degrees`."""
+    crease_degrees: float = 60.0
+    """Dihedral turn from which an edge is a crease, 0…180."""
+    pair_distance: float = 0.0
+    """Vertices closer than this (object units) may merge without an edge between them (aggregation); 0: edges only."""
+    attribute_cost: bool = True
+    """Whether attributes steer (Hoppe 1999); if not they are carried all the same."""
+    keep_topology: bool = True
+    """Refuse collapses that would change the topology (link condition)."""
+    may_relax: bool = True
+    """Give the link condition up when the target cannot be reached otherwise."""
+    flip_degrees: float = 78.0
+    """Largest turn of a face's normal in one collapse, 0…90."""
+    round_share: float = 1 / 16
+    """Share of the live vertices that one round considers, 0…1: smaller is nearer to the global order, larger faster."""
+    max_error: float | None = None
+    """Stop where the estimated deviation would pass this, object units."""
+    record: bool = False
+    """Keep the sequence of collapses, from which `rebuild` makes any level between."""
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One level as arrays; `*_source` are rows of the input, −1 where the values are new.
+
+    positions (V, 3) float64, faces and wedges (F, 3) int32, values (W, K) float32, vertex_source (V,), face_source
+    (F,) and wedge_source (W,) int32. `error` is the estimated deviation in object units.
+    """
+
+    target: int
+    stop: str
+    error: float
+    relaxed: bool
+    positions: F64
+    faces: I32
+    wedges: I32
+    values: F32
+    vertex_source: I32
+    face_source: I32
+    wedge_source: I32
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """The sequence of N collapses, and M events in which wedges merged or changed their values.
+
+    removed, kept (N,) int32 input vertices; positions (N, 3) float64 of `kept` afterwards; triangles (N,) int32 removed
+    with it; error (N,) float32 object units; wedge_event (M,) int32 ascending row of the collapse; wedge_from, wedge_to
+    (M,) int32 input wedges; wedge_values (M, K) float32 of `wedge_to` afterwards.
+    """
+
+    removed: I32
+    kept: I32
+    positions: F64
+    triangles: I32
+    error: F32
+    wedge_event: I32
+    wedge_from: I32
+    wedge_to: I32
+    wedge_values: F32
+
+
+@dataclass(frozen=True, eq=False)
+class Decimation:
+    """Levels in the order of the targets, and the record if it was asked for."""
+
+    levels: list[Level] = field(default_factory=list)
+    record: Record | None = None
+
+
+def decimate(
+    positions: F64,
+    faces: I32,
+    targets: Sequence[int],
+    options: QuadricOptions | None = None,
+    *,
+    wedges: I32 | None = None,
+    values: F32 | None = None,
+    column_weights: Sequence[float] = (),
+    importance: F32 | None = None,
+    locked: NDArray[np.bool_] | None = None,
+    threads: int = 0,
+    progress: Callable[[int, int], bool] | None = None,
+) -> Decimation:
+    """Quadric error decimation of a triangle mesh with wedges, all targets in one pass.
+
+    positions       (V, 3) float64
+    faces           (F, 3) int32, rows of `positions`
+    targets         triangles, each ≥ 0, descending
+    wedges          (F, 3) int32, rows of `values`; left out: the faces. Faces on the two sides of a material border
+                    must have different wedges
+    values          (W, K) float32 attributes
+    column_weights  K numbers ≥ 0: object units that a unit of the attribute is worth; 0: carried, does not steer
+    importance      (V,) float32 > 0, multiplies the vertex's quadric
+    locked          (V,) bool: neither moved nor removed
+    threads         0: all cores; the result does not depend on it
+    progress        called with (triangles removed, triangles to remove); False stops
+
+    Planes: Garland & Heckbert 1997. Attributes: Hoppe 1999, each a linear function over the face. Degenerate faces
+    of the input are left out. Raises InvalidMesh for arrays that do not fit together.
+    """
+    options = options or QuadricOptions()
+    positions = _table(positions, np.float64, 3, "positions")
+    faces = _table(faces, np.int32, 3, "faces")
+    wedges = faces if wedges is None else _table(wedges, np.int32, 3, "wedges")
+    if values is None:
+        values = np.empty((len(positions), 0), np.float32)
+    values = _table(values, np.float32, None, "values")
+    weights = np.asarray(column_weights, np.float32)
+    if weights.shape != (values.shape[1],):
+        raise InvalidMesh(f"there are {values.shape[1]} attribute columns and {weights.size} weights")
+    if not (np.isfinite(weights).all() and (weights >= 0).all()):
+        raise InvalidMesh("attribute weights must be finite and not negative")
+    if not np.isfinite(positions).all():
+        raise InvalidMesh("positions are not finite")
+    if not np.isfinite(values).all():
+        raise InvalidMesh("attribute values are not finite")
+    if wedges.shape != faces.shape:
+        raise InvalidMesh(f"there are {len(faces)} faces and {len(wedges)} rows of wedges")
+    if len(faces) >= 2**29:
+        raise InvalidMesh("more than 2^29 triangles in one mesh")
+    _indices(faces, len(positions), "faces")
+    if values.shape[1]:
+        _indices(wedges, len(values), "wedges")
+    elif wedges is not faces:
+        _indices(wedges, int(wedges.max(initial=-1)) + 1, "wedges")
+        values = np.empty((int(wedges.max(initial=-1)) + 1, 0), np.float32)
+    goals = [int(t) for t in targets]
+    if any(t < 0 for t in goals) or goals != sorted(goals, reverse=True):
+        raise InvalidMesh(f"targets must be descending and not negative (got {goals})")
+    given = _native.decimate(
+        positions,
+        faces,
+        wedges,
+        values,
+        weights,
+        _column(importance, np.float32, len(positions), "importance"),
+        _column(locked, np.uint8, len(positions), "locked"),
+        goals,
+        progress or (lambda done, total: True),
+        placement=PLACEMENTS.index(options.placement),
+        weighting=WEIGHTINGS.index(options.weighting),
+        boundary_weight=options.boundary_weight,
+        seam_weight=options.seam_weight,
+        crease_weight=options.crease_weight,
+        crease_cos=float(np.cos(np.radians(options.crease_degrees))),
+        pair_distance=options.pair_distance,
+        attribute_cost=options.attribute_cost,
+        keep_topology=options.keep_topology,
+        may_relax=options.may_relax,
+        flip_cos=float(np.cos(np.radians(options.flip_degrees))),
+        round_share=options.round_share,
+        max_error=-1.0 if options.max_error is None else options.max_error,
+        threads=threads or os.cpu_count() or 1,
+        record=options.record,
+    )
+    levels = [_level(data) for data in given["levels"]]
+    record = _record(given["record"], values.shape[1]) if options.record else None
+    return Decimation(levels, record)
+
+
+def _level(data: dict[str, Any]) -> Level:
+    values = data.pop("values", None)
+    if values is None:
+        values = np.empty((len(data["wedge_source"]), 0), np.float32)
+    return Level(**{**data, "stop": STOP_REASONS[data["stop"]]}, values=values)
+
+
+def _record(data: dict[str, Any], columns: int) -> Record:
+    if not columns:
+        data["wedge_values"] = np.empty((len(data["wedge_event"]), 0), np.float32)
+    return Record(**data)
+
+
+def _table(array: Any, dtype: Any, columns: int | None, name: str) -> Any:
+    given = np.ascontiguousarray(array)
+    if given.ndim != 2 or (columns is not None and given.shape[1] != columns):
+        raise InvalidMesh(f"{name} must be a table of {columns or 'K'} columns (got the shape {given.shape})")
+    if np.issubdtype(dtype, np.integer) and given.dtype.kind not in "iu":
+        raise InvalidMesh(f"{name} must be integers (got {given.dtype})")
+    return np.ascontiguousarray(given, dtype)
+
+
+def _column(array: Any, dtype: Any, rows: int, name: str) -> Any:
+    if array is None:
+        return None
+    given = np.ascontiguousarray(array, dtype)
+    if given.shape != (rows,):
+        raise InvalidMesh(f"{name} must have {rows} values (got the shape {given.shape})")
+    if name == "importance" and not (np.isfinite(given).all() and (given > 0).all()):
+        raise InvalidMesh("importance must be finite and positive")
+    return given
+
+
+def _indices(indices: I32, rows: int, name: str) -> None:
+    if indices.size and (int(indices.min()) < 0 or int(indices.max()) >= rows):
+        raise InvalidMesh(f"{name} point outside their {rows} rows")

@@ -1,0 +1,612 @@
+// The loop: evaluate, pick, collapse, until the targets are met.
+//
+// A round evaluates what changed, picks the cheapest share of the candidates in order of cost, and collapses those
+// whose two vertices were not yet touched in the round: their cost is still exact. Blocks of the Morton order are
+// collapsed side by side; a collapse whose ring leaves its block waits for the others to end. Blocks depend on the mesh
+// alone, so the result is the same for any number of threads.
+#include "decimate.h"
+
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <memory>
+
+#include "merge.h"
+#include "mesh_state.h"
+#include "prepare.h"
+
+namespace lodpipe {
+namespace {
+
+constexpr int kGrain = 512;              // vertices a piece of parallel work
+constexpr int kBlocks = 16;
+constexpr int kLeastBlock = 2048;        // live vertices
+constexpr float kLeastQuality = 1e-3f;   // 2·area / longest edge², below which a new face is a sliver
+constexpr size_t kSmallRing = 48;        // up to here a linear search beats sorting
+
+struct Neighbour {
+  int32_t vertex;
+  int32_t faces;  // triangles at the vertex that have it as a corner
+};
+
+// Working memory of one thread.
+struct Scratch {
+  std::vector<int32_t> owned, ring_v, ring_u, before;
+  std::vector<Neighbour> near_v, near_u;
+  std::vector<std::pair<float, int32_t>> costs;
+  Merge merge;
+};
+
+class Decimator {
+ public:
+  Decimator(const Input& in, const Options& options, const std::function<bool(int64_t, int64_t)>& progress)
+      : in_(in), options_(options), progress_(progress), pool_(std::max(options.threads, 1)) {
+    prepare(in_, options_, pool_, s_);
+    keep_topology_ = options_.keep_topology;
+    max_error_ = options_.max_error < 0 ? kInfinity : static_cast<float>(options_.max_error * s_.scale);
+  }
+
+  Result run() {
+    const int64_t start = s_.triangles;
+    const int64_t last = in_.targets.empty() ? 0 : in_.targets.back();
+    Stop stop = Stop::triangles;
+    for (const int64_t target : in_.targets) {
+      while (stop == Stop::triangles && s_.triangles > target) {
+        if (!progress_(start - s_.triangles, start - last)) stop = Stop::cancelled;
+        else if (!round(s_.triangles - target)) stop = stuck();
+      }
+      emit(target, s_.triangles <= target ? Stop::triangles : stop);
+    }
+    return std::move(result_);
+  }
+
+ private:
+  // ---------------------------------------------------------------- evaluate
+
+  // Calls body(corner, face) for the live faces round v; dead ones are taken out of the list on the way.
+  template <class Body>
+  void each_face(Vertex& v, const Body& body) {
+    for (int32_t* link = &v.head; *link != kNone;) {
+      const int32_t c = *link;
+      Face& f = s_.faces[face_of(c)];
+      int32_t& next = f.next[slot_of(c)];
+      if (f.dead()) {
+        *link = next;
+        continue;
+      }
+      body(c, f);
+      link = &next;
+    }
+  }
+
+  // The cheapest collapse among the edges that v owns (those to vertices of a higher number).
+  void evaluate(int32_t v, Scratch& w) {
+    Vertex& a = s_.vertices[v];
+    if (a.flags & kDirty) a.skip = 0;
+    a.flags &= static_cast<uint8_t>(~(kDirty | kRetry | kVanish));
+    w.owned.clear();
+    int faces = 0;
+    each_face(a, [&](int32_t c, const Face& f) {
+      ++faces;
+      for (int k = 0; k < 3; ++k) {
+        const int32_t u = f.v[k];
+        if (u <= v || k == slot_of(c)) continue;
+        if (w.owned.size() > kSmallRing || std::find(w.owned.begin(), w.owned.end(), u) == w.owned.end()) w.owned.push_back(u);
+      }
+    });
+    s_.cost[v] = kInfinity;
+    s_.partner[v] = kNone;
+    if (!faces) {
+      a.flags |= kDead;
+      return;
+    }
+    if (w.owned.size() > kSmallRing) {
+      std::sort(w.owned.begin(), w.owned.end());
+      w.owned.erase(std::unique(w.owned.begin(), w.owned.end()), w.owned.end());
+    }
+    if (w.owned.empty()) return;
+    if (faces <= kVanishFaces - 1 && gather_component(v, w.before)) {
+      a.flags |= kVanish;
+      if (a.skip == 0) s_.cost[v] = vanishing_cost(w.before), s_.partner[v] = w.owned[0];
+      return;
+    }
+    if (a.skip == 0) {
+      for (const int32_t u : w.owned) {
+        const float cost = w.merge.cost(s_, options_, v, u);
+        if (cost < s_.cost[v]) s_.cost[v] = cost, s_.partner[v] = u;
+      }
+      return;
+    }
+    w.costs.clear();
+    for (const int32_t u : w.owned) w.costs.push_back({w.merge.cost(s_, options_, v, u), u});
+    std::sort(w.costs.begin(), w.costs.end());
+    if (a.skip < w.costs.size()) s_.cost[v] = w.costs[a.skip].first, s_.partner[v] = w.costs[a.skip].second;
+  }
+
+  // The vertices of v's component if it has at most kVanishFaces faces.
+  bool gather_component(int32_t v, std::vector<int32_t>& members) const {
+    members.assign(1, v);
+    int faces = 0;
+    for (size_t i = 0; i < members.size(); ++i) {
+      int here = 0;
+      for (int32_t c = s_.vertices[members[i]].head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)]) {
+        const Face& f = s_.faces[face_of(c)];
+        if (f.dead()) continue;
+        if (f.link() || ++here > kVanishFaces) return false;
+        if (slot_of(c) == 0) ++faces;
+        for (const int32_t u : f.v)
+          if (std::find(members.begin(), members.end(), u) == members.end()) members.push_back(u);
+      }
+      if (members.size() > 4 || (s_.vertices[members[i]].flags & kLocked)) return false;
+    }
+    return faces <= kVanishFaces;
+  }
+
+  float vanishing_cost(const std::vector<int32_t>& members) const {
+    const Vec3 origin = s_.vertices[members[0]].p;
+    Quadric sum;
+    Vec3 middle;
+    for (const int32_t m : members) {
+      Quadric q = s_.vertices[m].q;
+      q.move_origin(origin - s_.vertices[m].p);
+      sum += q;
+      middle = middle + (s_.vertices[m].p - origin) * (1.0f / static_cast<float>(members.size()));
+    }
+    Vec3 y = middle;
+    if (!sum.minimise(kDamping * sum.trace(), middle, &y)) y = middle;
+    return std::max(sum.at(y), 0.0f);
+  }
+
+  // ---------------------------------------------------------------- pick
+
+  // Fills order_ with the cheapest share of the candidates, cheapest first.
+  void pick() {
+    finite_.clear();
+    for (const int32_t v : s_.live)
+      if (s_.cost[v] < kInfinity) finite_.push_back(s_.cost[v]);
+    order_.clear();
+    if (finite_.empty()) return;
+    const size_t wanted = std::min<size_t>(
+        finite_.size(), std::max<size_t>(1, static_cast<size_t>(options_.round_share * static_cast<float>(s_.live.size()))));
+    std::nth_element(finite_.begin(), finite_.begin() + static_cast<int64_t>(wanted) - 1, finite_.end());
+    const float most = finite_[wanted - 1];
+    for (const int32_t v : s_.live)
+      if (s_.cost[v] <= most) {
+        uint32_t bits;
+        std::memcpy(&bits, &s_.cost[v], 4);  // costs are not negative: their bits sort as they do
+        order_.push_back({bits, v});
+      }
+    if (order_.size() < 1024)
+      std::stable_sort(order_.begin(), order_.end(), [](Keyed a, Keyed b) { return a.key < b.key; });
+    else
+      radix_sort(order_, sort_scratch_);
+  }
+
+  // ---------------------------------------------------------------- collapse
+
+  enum class Outcome { done, touched, wait, refused };
+
+  struct Block {
+    std::vector<int32_t> todo, waiting;  // rows of order_
+    int64_t removed = 0;
+    std::array<int64_t, 7> refused{};
+    std::unique_ptr<Scratch> scratch = std::make_unique<Scratch>();
+    Record record;
+    std::vector<int32_t> ranks;  // of the record's rows
+  };
+
+  // One round. False if nothing could be collapsed and nothing is left to be tried.
+  bool round(int64_t wanted) {
+    ++round_;
+    pool_.range(static_cast<int>(s_.live.size()), kGrain, [&](int begin, int end) {
+      thread_local Scratch w;
+      for (int i = begin; i < end; ++i)
+        if (s_.vertices[s_.live[i]].flags & (kDirty | kRetry)) evaluate(s_.live[i], w);
+    });
+    s_.live.erase(std::remove_if(s_.live.begin(), s_.live.end(), [&](int32_t v) { return s_.vertices[v].flags & kDead; }),
+                  s_.live.end());
+    pick();
+    if (order_.empty()) return false;
+
+    // A collapse removes two triangles at most (others are left to the last part), so a prefix cannot overshoot.
+    const int64_t most = std::max<int64_t>(1, (wanted + 1) / 2);
+    const int count = static_cast<int>(std::min<int64_t>(most, static_cast<int64_t>(order_.size())));
+    const int block_count =
+        std::clamp(static_cast<int>(s_.live.size() / kLeastBlock), 1, kBlocks);
+    blocks_.resize(kBlocks + 1);
+    for (Block& b : blocks_) b.todo.clear(), b.waiting.clear(), b.removed = 0, b.refused = {}, b.record = {}, b.ranks.clear();
+    Block& rest = blocks_[kBlocks];
+    int32_t width = std::numeric_limits<int32_t>::max();
+    if (block_count > 1) {
+      width = static_cast<int32_t>(s_.vertices.size() / block_count + 1);
+      for (int i = 0; i < count; ++i) {
+        const int32_t v = order_[i].id;
+        const int32_t b = v / width;
+        (s_.partner[v] / width == b ? blocks_[b].todo : rest.todo).push_back(i);
+      }
+      pool_.run(block_count, [&](int b) {
+        for (const int32_t i : blocks_[b].todo)
+          if (collapse(i, b, width, wanted, blocks_[b]) == Outcome::wait) blocks_[b].waiting.push_back(i);
+      });
+      for (int b = 0; b < block_count; ++b) {
+        rest.todo.insert(rest.todo.end(), blocks_[b].waiting.begin(), blocks_[b].waiting.end());
+        rest.removed += blocks_[b].removed;
+      }
+      std::sort(rest.todo.begin(), rest.todo.end());
+    } else {
+      for (int i = 0; i < count; ++i) rest.todo.push_back(i);
+    }
+    for (const int32_t i : rest.todo)
+      if (rest.removed < wanted) collapse(i, -1, width, wanted, rest);
+    s_.triangles -= rest.removed;
+    int64_t failed = 0;
+    for (const Block& b : blocks_)
+      for (size_t k = 0; k < b.refused.size(); ++k) refused_[k] += b.refused[k], failed += b.refused[k];
+    merge_records();
+    return rest.removed > 0 || failed > 0;
+  }
+
+  // Collapses candidate `i`. block < 0: anything goes; else only what stays inside the block and removes two faces.
+  Outcome collapse(int32_t i, int block, int32_t width, int64_t wanted, Block& out) {
+    int32_t v = order_[i].id, u = s_.partner[v];
+    Vertex &a = s_.vertices[v], &b = s_.vertices[u];
+    if (s_.stamp[v] == round_ || s_.stamp[u] == round_ || ((a.flags | b.flags) & kDead)) return Outcome::touched;
+    Scratch& w = *out.scratch;
+    if (a.flags & kVanish) {
+      if (block >= 0) return Outcome::wait;
+      return vanish(i, v, w, out);
+    }
+    gather_ring(v, w.ring_v, w.near_v);
+    gather_ring(u, w.ring_u, w.near_u);
+    if (block >= 0 && !(inside(w.near_v, block, width) && inside(w.near_u, block, width))) return Outcome::wait;
+
+    int shared = 0;
+    for (const int32_t c : w.ring_u)
+      if (has(s_.faces[face_of(c)], v) && !s_.faces[face_of(c)].link()) ++shared;
+    if (block >= 0 && shared > 2) return Outcome::wait;
+    if (block < 0 && shared > wanted - out.removed && out.removed > 0 && shared > 2) return Outcome::touched;
+
+    if (keep_topology_ && !link_condition(v, u, shared, w)) return refuse(a, out, Stop::topology);
+    Vec3 y;
+    const float cost = w.merge.place(s_, options_, v, u, &y);
+    if (!(cost < kInfinity)) return refuse(a, out, w.merge.locked ? Stop::locked : Stop::seams);
+    const float error = std::max({a.error, b.error, w.merge.deviation});
+    if (error > max_error_) return refuse(a, out, Stop::error);
+    if (w.merge.kept == u) {
+      std::swap(v, u);
+      w.ring_v.swap(w.ring_u);
+      w.near_v.swap(w.near_u);
+    }
+    const Vec3 x = s_.vertices[v].p + y;
+    if (turns(w.ring_v, u, v, x) || turns(w.ring_u, v, u, x)) return refuse(s_.vertices[order_[i].id], out, Stop::flip);
+
+    apply(i, v, u, x, error, w, out);
+    s_.stamp[v] = s_.stamp[u] = round_;
+    out.removed += shared;
+    return Outcome::done;
+  }
+
+  Outcome refuse(Vertex& a, Block& out, Stop why) {
+    ++out.refused[static_cast<size_t>(why)];
+    if (a.skip < 255) ++a.skip;
+    a.flags |= kRetry;
+    return Outcome::refused;
+  }
+
+  static bool has(const Face& f, int32_t v) { return f.v[0] == v || f.v[1] == v || f.v[2] == v; }
+
+  bool inside(const std::vector<Neighbour>& near, int block, int32_t width) const {
+    for (const Neighbour& n : near)
+      if (n.vertex / width != block) return false;
+    return true;
+  }
+
+  // Live corners of v, and its neighbours with the number of triangles that each shares with it.
+  void gather_ring(int32_t v, std::vector<int32_t>& ring, std::vector<Neighbour>& near) {
+    ring.clear();
+    near.clear();
+    for (int32_t c = s_.vertices[v].head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)]) {
+      const Face& f = s_.faces[face_of(c)];
+      if (f.dead()) continue;
+      ring.push_back(c);
+      for (const int32_t u : f.v) {
+        if (u == v || u == kNone) continue;
+        if (near.size() <= kSmallRing) {
+          auto it = std::find_if(near.begin(), near.end(), [u](const Neighbour& n) { return n.vertex == u; });
+          if (it != near.end()) {
+            it->faces += !f.link();
+            continue;
+          }
+        }
+        near.push_back({u, f.link() ? 0 : 1});
+      }
+    }
+    if (near.size() <= kSmallRing) return;
+    std::sort(near.begin(), near.end(), [](const Neighbour& a, const Neighbour& b) { return a.vertex < b.vertex; });
+    size_t kept = 0;
+    for (size_t i = 0; i < near.size(); ++i)
+      if (kept && near[kept - 1].vertex == near[i].vertex) near[kept - 1].faces += near[i].faces;
+      else near[kept++] = near[i];
+    near.resize(kept);
+  }
+
+  static const Neighbour* find(const std::vector<Neighbour>& near, int32_t v) {
+    if (near.size() <= kSmallRing) {
+      for (const Neighbour& n : near)
+        if (n.vertex == v) return &n;
+      return nullptr;
+    }
+    auto it = std::lower_bound(near.begin(), near.end(), v, [](const Neighbour& n, int32_t x) { return n.vertex < x; });
+    return it != near.end() && it->vertex == v ? &*it : nullptr;
+  }
+
+  // The vertices adjacent to both ends are just those opposite to the edge in its faces (Dey et al. 1999), and two
+  // boundaries are not pinched together.
+  bool link_condition(int32_t v, int32_t u, int shared, Scratch& w) const {
+    size_t common = 0;
+    for (const Neighbour& n : w.near_u) common += find(w.near_v, n.vertex) != nullptr;
+    w.before.clear();
+    for (const int32_t c : w.ring_u) {
+      const Face& f = s_.faces[face_of(c)];
+      if (f.link() || !has(f, v)) continue;
+      const int32_t opposite = f.v[0] + f.v[1] + f.v[2] - u - v;
+      if (std::find(w.before.begin(), w.before.end(), opposite) == w.before.end()) w.before.push_back(opposite);
+    }
+    if (common != w.before.size()) return false;
+    if (shared == 1) return true;
+    const auto on_boundary = [](const std::vector<Neighbour>& near) {
+      return std::any_of(near.begin(), near.end(), [](const Neighbour& n) { return n.faces == 1; });
+    };
+    return !(on_boundary(w.near_v) && on_boundary(w.near_u));
+  }
+
+  // Would a face of `ring` that stays turn over, or become a sliver, when its corner `moving` goes to x?
+  bool turns(const std::vector<int32_t>& ring, int32_t other, int32_t moving, Vec3 x) const {
+    const Vec3 p = s_.vertices[moving].p;
+    for (const int32_t c : ring) {
+      const Face& f = s_.faces[face_of(c)];
+      if (f.link() || has(f, other)) continue;
+      const int k = slot_of(c);
+      const Vec3 q = s_.vertices[f.v[(k + 1) % 3]].p, r = s_.vertices[f.v[(k + 2) % 3]].p;
+      const Vec3 e = r - q, old_side = p - q, new_side = x - q;
+      const Vec3 n0 = cross(e, old_side), n1 = cross(e, new_side);
+      const float size0 = dot(n0, n0), size1 = dot(n1, n1);
+      const Vec3 third = x - r;
+      const float longest = std::max({dot(e, e), dot(new_side, new_side), dot(third, third)});
+      if (size1 < kLeastQuality * kLeastQuality * longest * longest) {
+        const Vec3 old_third = p - r;
+        const float before = std::max({dot(e, e), dot(old_side, old_side), dot(old_third, old_third)});
+        if (size1 * before * before < 0.25f * size0 * longest * longest) return true;  // it was none before
+      }
+      if (size0 > 1e-12f * longest * longest && dot(n0, n1) < options_.flip_cos * std::sqrt(size0 * size1)) return true;
+    }
+    return false;
+  }
+
+  void apply(int32_t rank, int32_t v, int32_t u, Vec3 x, float error, Scratch& w, Block& out) {
+    Vertex &a = s_.vertices[v], &b = s_.vertices[u];
+    w.merge.commit(s_, v, u, x - a.p);
+    const Merge& m = w.merge;
+    int32_t* link = &a.head;
+    int removed = 0;
+    const auto keep = [&](int32_t c) {
+      *link = c;
+      link = &s_.faces[face_of(c)].next[slot_of(c)];
+    };
+    for (const int32_t c : w.ring_v) {
+      Face& f = s_.faces[face_of(c)];
+      if (has(f, u)) {
+        removed += !f.link();
+        f.v[0] = kNone;
+        continue;
+      }
+      if (s_.columns && !f.link()) f.w[slot_of(c)] = m.target(f.w[slot_of(c)]);
+      keep(c);
+    }
+    for (const int32_t c : w.ring_u) {
+      Face& f = s_.faces[face_of(c)];
+      if (f.dead()) continue;
+      f.v[slot_of(c)] = v;
+      if (s_.columns && !f.link()) f.w[slot_of(c)] = m.target(f.w[slot_of(c)]);
+      keep(c);
+    }
+    *link = kNone;
+    for (const Neighbour& n : w.near_v) s_.vertices[n.vertex].flags |= kDirty;
+    for (const Neighbour& n : w.near_u) s_.vertices[n.vertex].flags |= kDirty;
+    a.q = m.quadric;
+    a.p = x;
+    a.error = error;
+    a.flags |= kDirty;
+    if (m.moved) a.flags |= kMoved;
+    a.flags = static_cast<uint8_t>((a.flags & ~(kSeveralWedges | kLocked)) | (m.groups() > 1 ? kSeveralWedges : 0) |
+                                   ((a.flags | b.flags) & kLocked));
+    b.flags = kDead;
+    b.head = kNone;
+    s_.cost[u] = kInfinity;
+    if (a.head == kNone) a.flags |= kDead, s_.cost[v] = kInfinity;
+    if (options_.record) note(rank, v, u, removed, m, out);
+  }
+
+  Outcome vanish(int32_t rank, int32_t v, Scratch& w, Block& out) {
+    if (!gather_component(v, w.before)) {
+      s_.vertices[v].flags |= kDirty;
+      return Outcome::touched;
+    }
+    Vertex& a = s_.vertices[v];
+    const float trace = a.q.trace();
+    const float error = trace > 0 ? std::sqrt(s_.cost[v] / trace) : 0;
+    if (error > max_error_) return refuse(a, out, Stop::error);
+    int removed = 0;
+    for (const int32_t m : w.before) {
+      for (int32_t c = s_.vertices[m].head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)]) {
+        Face& f = s_.faces[face_of(c)];
+        if (!f.dead()) ++removed, f.v[0] = kNone;
+      }
+    }
+    for (const int32_t m : w.before) {
+      s_.vertices[m].flags = kDead;
+      s_.cost[m] = kInfinity;
+      s_.stamp[m] = round_;
+      if (options_.record && m != v) {
+        Merge none;
+        none.reset();
+        note(rank, v, m, m == w.before[1] ? removed : 0, none, out);
+      }
+    }
+    s_.vertices[v].head = kNone;
+    out.removed += removed;
+    return Outcome::done;
+  }
+
+  // ---------------------------------------------------------------- results
+
+  void note(int32_t rank, int32_t v, int32_t u, int removed, const Merge& m, Block& out) {
+    Record& r = out.record;
+    const auto row = static_cast<int32_t>(r.removed.size());
+    out.ranks.push_back(rank);
+    r.removed.push_back(u);
+    r.kept.push_back(v);
+    r.triangles.push_back(removed);
+    r.error.push_back(s_.vertices[v].error);
+    for (const double c : world(v)) r.positions.push_back(c);
+    for (const auto& [from, to] : m.links()) {
+      r.wedge_event.push_back(row);
+      r.wedge_from.push_back(from);
+      r.wedge_to.push_back(to);
+      for (int k = 0; k < s_.columns; ++k) r.wedge_values.push_back(s_.value[static_cast<size_t>(to) * s_.columns + k]);
+    }
+  }
+
+  // Rows of all blocks in the order in which one thread would have picked them; within a round they do not overlap.
+  void merge_records() {
+    if (!options_.record) return;
+    struct Row {
+      int32_t rank, block, row;
+    };
+    std::vector<Row> rows;
+    std::vector<std::vector<int32_t>> first(blocks_.size());
+    for (size_t b = 0; b + 1 < blocks_.size(); ++b)
+      for (size_t i = 0; i < blocks_[b].ranks.size(); ++i)
+        rows.push_back({blocks_[b].ranks[i], static_cast<int32_t>(b), static_cast<int32_t>(i)});
+    std::sort(rows.begin(), rows.end(), [](const Row& a, const Row& b) { return a.rank != b.rank ? a.rank < b.rank : a.row < b.row; });
+    for (size_t i = 0; i < blocks_.back().ranks.size(); ++i)
+      rows.push_back({0, static_cast<int32_t>(blocks_.size()) - 1, static_cast<int32_t>(i)});
+    for (size_t b = 0; b < blocks_.size(); ++b) {
+      first[b].assign(blocks_[b].ranks.size() + 1, 0);
+      for (const int32_t e : blocks_[b].record.wedge_event) ++first[b][static_cast<size_t>(e) + 1];
+      for (size_t i = 0; i + 1 < first[b].size(); ++i) first[b][i + 1] += first[b][i];
+    }
+    Record& out = result_.record;
+    for (const Row& at : rows) {
+      const Record& r = blocks_[at.block].record;
+      const auto event = static_cast<int32_t>(out.removed.size());
+      out.removed.push_back(s_.vertex_source[r.removed[at.row]]);
+      out.kept.push_back(s_.vertex_source[r.kept[at.row]]);
+      out.triangles.push_back(r.triangles[at.row]);
+      out.error.push_back(static_cast<float>(r.error[at.row] / s_.scale));
+      for (int k = 0; k < 3; ++k) out.positions.push_back(r.positions[3 * static_cast<size_t>(at.row) + k]);
+      for (int32_t e = first[at.block][at.row]; e < first[at.block][at.row + 1]; ++e) {
+        out.wedge_event.push_back(event);
+        out.wedge_from.push_back(s_.wedge_source[r.wedge_from[e]]);
+        out.wedge_to.push_back(s_.wedge_source[r.wedge_to[e]]);
+        const size_t row = out.wedge_values.size();
+        out.wedge_values.resize(row + s_.columns);
+        for (int k = 0; k < s_.columns; ++k)
+          out.wedge_values[row + s_.column_source[k]] =
+              r.wedge_values[static_cast<size_t>(e) * s_.columns + k] / s_.column_scale[k];
+      }
+    }
+  }
+
+  // Nothing can be collapsed under the guards: give up the link condition if that is allowed, else say what held.
+  Stop stuck() {
+    if (keep_topology_ && options_.may_relax && refused_[static_cast<size_t>(Stop::topology)]) {
+      keep_topology_ = false;
+      relaxed_ = true;
+      refused_ = {};
+      for (const int32_t v : s_.live) s_.vertices[v].flags |= kDirty;
+      return Stop::triangles;
+    }
+    if (max_error_ < kInfinity && refused_[static_cast<size_t>(Stop::error)]) return Stop::error;
+    Stop worst = Stop::topology;
+    for (size_t k = static_cast<size_t>(Stop::topology); k <= static_cast<size_t>(Stop::locked); ++k)
+      if (refused_[k] > refused_[static_cast<size_t>(worst)]) worst = static_cast<Stop>(k);
+    return worst;
+  }
+
+  std::array<double, 3> world(int32_t v) const {
+    const Vertex& a = s_.vertices[v];
+    if (!(a.flags & kMoved)) {
+      const double* p = in_.positions + 3 * static_cast<int64_t>(s_.vertex_source[v]);
+      return {p[0], p[1], p[2]};
+    }
+    return {s_.center[0] + a.p.x / s_.scale, s_.center[1] + a.p.y / s_.scale, s_.center[2] + a.p.z / s_.scale};
+  }
+
+  void emit(int64_t target, Stop stop) {
+    Level level;
+    level.target = target;
+    level.stop = stop;
+    level.relaxed = relaxed_;
+    std::vector<int32_t> number(s_.vertices.size(), kNone), wedge_number(s_.wedge_source.size(), kNone);
+    float error = 0;
+    const size_t count = static_cast<size_t>(s_.triangles);
+    level.faces.reserve(3 * count), level.wedges.reserve(3 * count), level.face_source.reserve(count);
+    for (const Face& f : s_.faces) {
+      if (f.dead() || f.link()) continue;
+      level.face_source.push_back(f.source);
+      for (int k = 0; k < 3; ++k) {
+        int32_t& n = number[f.v[k]];
+        if (n == kNone) {
+          n = static_cast<int32_t>(level.vertex_source.size());
+          const Vertex& a = s_.vertices[f.v[k]];
+          error = std::max(error, a.error);
+          level.vertex_source.push_back(a.flags & kMoved ? kNone : s_.vertex_source[f.v[k]]);
+          for (const double c : world(f.v[k])) level.positions.push_back(c);
+        }
+        level.faces.push_back(n);
+        int32_t& w = wedge_number[f.w[k]];
+        if (w == kNone) {
+          w = static_cast<int32_t>(level.wedge_source.size());
+          emit_wedge(f.w[k], level);
+        }
+        level.wedges.push_back(w);
+      }
+    }
+    level.error = error / s_.scale;
+    result_.levels.push_back(std::move(level));
+  }
+
+  void emit_wedge(int32_t w, Level& level) const {
+    const bool moved = s_.columns && s_.wedge_moved[w];
+    level.wedge_source.push_back(moved ? kNone : s_.wedge_source[w]);
+    const size_t row = level.values.size();
+    level.values.resize(row + s_.columns);
+    for (int k = 0; k < s_.columns; ++k)
+      level.values[row + s_.column_source[k]] =
+          moved ? s_.value[static_cast<size_t>(w) * s_.columns + k] / s_.column_scale[k]
+                : in_.values[static_cast<size_t>(s_.wedge_source[w]) * s_.columns + s_.column_source[k]];
+  }
+
+  const Input& in_;
+  const Options& options_;
+  const std::function<bool(int64_t, int64_t)>& progress_;
+  Pool pool_;
+  State s_;
+  Result result_;
+  std::vector<float> finite_;
+  std::vector<Keyed> order_, sort_scratch_;
+  std::vector<Block> blocks_;
+  std::array<int64_t, 7> refused_{};
+  int32_t round_ = 0;
+  float max_error_ = kInfinity;
+  bool keep_topology_ = true, relaxed_ = false;
+};
+
+}  // namespace
+
+Result decimate(const Input& input, const Options& options, const std::function<bool(int64_t, int64_t)>& progress) {
+  return Decimator(input, options, progress).run();
+}
+
+}  // namespace lodpipe

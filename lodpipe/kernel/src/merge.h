@@ -1,0 +1,230 @@
+// What becomes of two vertices that are merged: cost, place, attributes and quadric.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <utility>
+#include <vector>
+
+#include "mesh_state.h"
+
+namespace lodpipe {
+
+constexpr float kDamping = 1e-4f;    // share of the trace that pulls the optimum to the middle where nothing else does
+constexpr float kShortEdge = 1e-7f;  // among equals the shorter edge goes first
+constexpr float kReach = 2.0f;       // the optimum lies within so many edge lengths of the edge's middle
+
+class Merge {
+ public:
+  Quadric quadric;       // after commit(): of the merged vertex, at its place
+  float deviation = 0;   // after place(): root mean square distance to what was merged, unit box
+  bool moved = false;    // after commit(): the vertex is at a place where no input vertex was
+  bool locked = false;   // after place(): a lock forbids it
+  int32_t kept = kNone;  // after place(): the vertex that stays
+
+  float cost(const State& s, const Options& options, int32_t v, int32_t u) {
+    Vec3 y;
+    return place(s, options, v, u, &y);
+  }
+
+  // Cost of merging v and u, at kept + *y. Infinite if it is not possible.
+  float place(const State& s, const Options& options, int32_t v, int32_t u, Vec3* y) {
+    const Vertex &a = s.vertices[v], &b = s.vertices[u];
+    *y = {};
+    locked = a.flags & b.flags & kLocked;
+    if (locked) return kInfinity;
+    if (options.placement == Placement::endpoint || ((a.flags | b.flags) & kLocked)) {
+      const float onto_v = b.flags & kLocked ? kInfinity : onto(s, v, u);
+      const float trace_v = quadric.trace();
+      const float onto_u = a.flags & kLocked ? kInfinity : onto(s, u, v);
+      kept = onto_v <= onto_u ? v : u;
+      if (kept == v) {
+        if (onto_u < kInfinity) onto(s, v, u);  // its groups again
+        return finish(onto_v, trace_v, b.p - a.p);
+      }
+      return finish(onto_u, quadric.trace(), b.p - a.p);
+    }
+    kept = v;
+    fixed_ = false;
+    join(s, v, u, s.steering);
+    const Vec3 d = b.p - a.p;
+    const float trace = quadric.trace();
+    Quadric least = quadric;  // with each attribute at its best value for the place
+    for (const Group& g : groups_)
+      for (int k = 0; k < s.steering && g.weight > 0; ++k) {
+        const Slope& t = slopes_[g.first + k];
+        least.add_plane({t.x, t.y, t.z}, t.d, -1 / g.weight);
+      }
+    if (options.placement == Placement::midpoint) {
+      *y = d * 0.5f;
+    } else {
+      const Vec3 middle = d * 0.5f;
+      const bool solved = least.minimise(kDamping * trace, middle, y);
+      const Vec3 away = *y - middle;
+      if (!solved || !(dot(away, away) <= kReach * kReach * dot(d, d))) {
+        // best point of the segment; its ends where the quadric is flat along it
+        const Vec3 ad = least.times(d);
+        const float along = least.bx * d.x + least.by * d.y + least.bz * d.z, curve = dot(ad, d);
+        *y = d * (curve > 1e-12f * trace * dot(d, d) ? std::clamp(-along / curve, 0.0f, 1.0f) : 0.5f);
+      }
+    }
+    return finish(std::max(least.at(*y), 0.0f), trace, d);
+  }
+
+  // Writes the merged attributes into `s` and fills `quadric`. Follows a place() of the same pair.
+  void commit(State& s, int32_t v, int32_t u, Vec3 y) {
+    const bool fixed = y.x == 0 && y.y == 0 && y.z == 0 && fixed_;
+    moved = !fixed;
+    join(s, v, u, s.columns);
+    quadric.move_origin(y);
+    links_.clear();
+    for (const Group& g : groups_) {
+      bool several = false;
+      float* value = &s.value[static_cast<size_t>(g.wedge) * s.columns];
+      for (int k = 0; k < s.columns; ++k) {
+        Slope& t = slopes_[g.first + k];
+        t.d = t.at(y);
+        const float step = fixed || !(g.weight > 0) ? 0.0f : t.d / g.weight;
+        if (k < s.steering) shift(t, step, g.weight);
+        t.d -= step * g.weight;
+        value[k] += step;
+        s.slope[static_cast<size_t>(g.wedge) * s.columns + k] = t;
+      }
+      s.weight[g.wedge] = g.weight;
+      for (const auto& [wedge, group] : members_)
+        if (&groups_[group] == &g && wedge != g.wedge) links_.push_back({wedge, g.wedge}), several = true;
+      if (!fixed) s.wedge_moved[g.wedge] = 1;
+      if (!fixed && !several) links_.push_back({g.wedge, g.wedge});
+    }
+  }
+
+  // The wedge that stands for `wedge` after commit().
+  int32_t target(int32_t wedge) const {
+    for (const auto& [w, group] : members_)
+      if (w == wedge) return groups_[group].wedge;
+    return wedge;
+  }
+  int groups() const { return static_cast<int>(groups_.size()); }
+  const std::vector<std::pair<int32_t, int32_t>>& links() const { return links_; }
+  void reset() { members_.clear(), groups_.clear(), links_.clear(); }
+
+ private:
+  struct Group {
+    int32_t wedge;  // the one that stays
+    int first;      // row of slopes_
+    float weight;
+  };
+
+  float finish(float cost, float trace, Vec3 edge) {
+    deviation = trace > 0 ? std::sqrt(cost / trace) : 0;
+    return cost + kShortEdge * trace * dot(edge, edge);
+  }
+
+  // Cost of putting `gone` onto `stays`, attributes included. Infinite if a wedge of `gone` has no counterpart, or more
+  // than one.
+  float onto(const State& s, int32_t stays, int32_t gone) {
+    fixed_ = true;
+    join(s, stays, gone, s.steering);
+    for (const auto& [wedge, group] : members_)
+      if (own_[group] != 1) return kInfinity;
+    return std::max(quadric.c, 0.0f);
+  }
+
+  // Which wedges of v and u become one: those that a face on the edge joins. Then the sums of their quadrics and of
+  // the first `columns` slopes, with origin v and with the values of the group's wedge.
+  void join(const State& s, int32_t v, int32_t u, int columns) {
+    const Vertex &a = s.vertices[v], &b = s.vertices[u];
+    const Vec3 t = a.p - b.p;
+    quadric = b.q;
+    quadric.move_origin(t);
+    quadric += a.q;
+    members_.clear();
+    groups_.clear();
+    own_.clear();
+    if (!columns && !fixed_) return;
+    if (!s.columns) return;
+    group_wedges(s, v, u);
+    slopes_.assign(groups_.size() * static_cast<size_t>(columns), Slope{});
+    for (size_t i = 0; i < groups_.size(); ++i) groups_[i].first = static_cast<int>(i) * columns, groups_[i].weight = 0;
+    for (size_t i = 0; i < members_.size(); ++i) {
+      const int32_t wedge = members_[i].first;
+      const bool of_u = of_u_[i];
+      Group& g = groups_[members_[i].second];
+      const float w = s.weight[wedge];
+      g.weight += w;
+      const float *here = &s.value[static_cast<size_t>(wedge) * s.columns],
+                  *there = &s.value[static_cast<size_t>(g.wedge) * s.columns];
+      const Slope* from = &s.slope[static_cast<size_t>(wedge) * s.columns];
+      for (int k = 0; k < columns; ++k) {
+        Slope m = from[k];
+        if (of_u) m.d = m.at(t);
+        if (wedge != g.wedge) {
+          const float step = there[k] - here[k];
+          if (k < s.steering) shift(m, step, w);
+          m.d -= step * w;
+        }
+        Slope& sum = slopes_[g.first + k];
+        sum.x += m.x, sum.y += m.y, sum.z += m.z, sum.d += m.d;
+      }
+    }
+  }
+
+  // The quadric's terms when an attribute is counted from a value `step` higher.
+  void shift(const Slope& m, float step, float weight) {
+    quadric.bx -= step * m.x, quadric.by -= step * m.y, quadric.bz -= step * m.z;
+    quadric.c -= step * (2 * m.d - step * weight);
+  }
+
+  void group_wedges(const State& s, int32_t v, int32_t u) {
+    of_u_.clear();
+    const auto number = [&](int32_t wedge, bool of_u) {
+      for (size_t i = 0; i < members_.size(); ++i)
+        if (members_[i].first == wedge) return static_cast<int>(i);
+      members_.push_back({wedge, static_cast<int32_t>(members_.size())});
+      of_u_.push_back(of_u);
+      return static_cast<int>(members_.size()) - 1;
+    };
+    const bool several = (s.vertices[v].flags | s.vertices[u].flags) & kSeveralWedges;
+    for (const bool of_u : {false, true})
+      for (int32_t c = s.vertices[of_u ? u : v].head; c != kNone; c = s.faces[face_of(c)].next[slot_of(c)]) {
+        const Face& f = s.faces[face_of(c)];
+        if (f.dead() || f.link()) continue;
+        const int mine = number(f.w[slot_of(c)], of_u);
+        if (!of_u) {
+          if (!several) break;
+          continue;
+        }
+        for (int k = 0; k < 3; ++k)
+          if (f.v[k] == v) {
+            const int32_t other = members_[number(f.w[k], false)].second, own = members_[mine].second;
+            if (other != own)
+              for (auto& m : members_)
+                if (m.second == std::max(own, other)) m.second = std::min(own, other);
+            if (!several) goto found;
+          }
+      }
+  found:
+    // number the groups without gaps; a wedge of v stands for its group if there is one (those come first)
+    for (size_t i = 0; i < members_.size(); ++i) {
+      int32_t& group = members_[i].second;
+      if (group == static_cast<int32_t>(i)) {
+        group = static_cast<int32_t>(groups_.size());
+        groups_.push_back({members_[i].first, 0, 0});
+        own_.push_back(!of_u_[i]);
+        renumber_.resize(std::max(renumber_.size(), i + 1));
+        renumber_[i] = group;
+      } else {
+        group = renumber_[group];
+        own_[group] = static_cast<uint8_t>(own_[group] + !of_u_[i]);
+      }
+    }
+  }
+
+  std::vector<std::pair<int32_t, int32_t>> members_, links_;  // (wedge, group); (gone, kept)
+  std::vector<Group> groups_;
+  std::vector<uint8_t> of_u_, own_;  // per member; per group: how many wedges of v are in it
+  std::vector<int32_t> renumber_;
+  std::vector<Slope> slopes_;
+  bool fixed_ = false;
+};
+
+}  // namespace lodpipe

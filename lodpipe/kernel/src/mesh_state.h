@@ -1,0 +1,69 @@
+// The mesh while it is being simplified: flat arrays, faces in linked lists round their vertices.
+#pragma once
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+#include "decimate.h"
+#include "order.h"
+#include "parallel.h"
+#include "quadric.h"
+
+namespace lodpipe {
+
+enum : uint8_t { kDirty = 1, kRetry = 2, kDead = 4, kLocked = 8, kMoved = 16, kSeveralWedges = 32, kVanish = 64 };
+
+struct Vertex {  // one cache line
+  Vec3 p;
+  Quadric q;
+  int32_t head;  // first corner of its list, −1: none
+  uint8_t flags, skip;
+  uint16_t unused;
+  float error;  // estimate of the deviation so far
+};
+static_assert(sizeof(Vertex) == 64);
+
+// A triangle, or (v[2] = kNone) a link between two vertices that are near each other but share no edge.
+struct Face {
+  int32_t v[3], w[3];  // vertices and wedges
+  int32_t next[3];     // next corner in the list round v[k]
+  int32_t source;      // row of the input
+  bool dead() const { return v[0] < 0; }
+  bool link() const { return v[2] < 0; }
+};
+
+constexpr int32_t kNone = -1;
+constexpr int kVanishFaces = 4;  // a component of so few faces goes as a whole
+
+inline int32_t corner(int32_t face, int k) { return face << 2 | k; }
+inline int32_t face_of(int32_t corner) { return corner >> 2; }
+inline int slot_of(int32_t corner) { return corner & 3; }
+
+// Sum over faces of area · (gradient, offset) of one attribute: offset is taken at the vertex, less the wedge's value.
+struct Slope {
+  float x = 0, y = 0, z = 0, d = 0;
+  float at(Vec3 t) const { return x * t.x + y * t.y + z * t.z + d; }
+};
+
+struct State {
+  std::vector<Vertex> vertices;
+  std::vector<Face> faces;  // triangles first, then links
+  std::vector<float> cost;
+  std::vector<int32_t> partner;
+  std::vector<int32_t> stamp;  // round in which the vertex was last touched
+  std::vector<int32_t> live;
+  std::vector<int32_t> vertex_source, wedge_source;
+  // wedges, row-major with `columns`
+  int columns = 0, steering = 0;  // the first `steering` columns have a share in the cost
+  std::vector<int32_t> column_source;
+  std::vector<float> column_scale;
+  std::vector<float> value, weight;
+  std::vector<Slope> slope;
+  std::vector<uint8_t> wedge_moved;
+
+  double center[3] = {0, 0, 0};
+  double scale = 1;  // input units → unit diagonal
+  int64_t triangles = 0;
+};
+
+}  // namespace lodpipe

@@ -1,0 +1,9 @@
+#pragma once
+#include "mesh_state.h"
+
+namespace lodpipe {
+
+// Fills the state from the input. Degenerate input faces (two equal corners) are left out.
+void prepare(const Input& in, const Options& options, Pool& pool, State& s);
+
+}  // namespace lodpipe

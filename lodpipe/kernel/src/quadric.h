@@ -1,0 +1,81 @@
+// Quadrics: squared distance to planes (Garland & Heckbert 1997) and to linear attribute functions (Hoppe 1999).
+//
+// Every quadric has its origin at its own vertex, E(x) = yᵀAy + 2b·y + c with y = x − vertex. Numbers then are of the
+// size of the neighbourhood instead of the model, so that 32-bit floats are exact enough for millions of triangles.
+#pragma once
+#include <cmath>
+#include <limits>
+
+namespace lodpipe {
+
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+
+struct Vec3 {
+  float x = 0, y = 0, z = 0;
+};
+inline Vec3 operator+(Vec3 a, Vec3 b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+inline Vec3 operator-(Vec3 a, Vec3 b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+inline Vec3 operator*(Vec3 a, float s) { return {a.x * s, a.y * s, a.z * s}; }
+inline float dot(Vec3 a, Vec3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+inline Vec3 cross(Vec3 a, Vec3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
+inline float length(Vec3 a) { return std::sqrt(dot(a, a)); }
+inline Vec3 normalized(Vec3 a) {
+  const float l = length(a);
+  return l > 0 ? a * (1 / l) : Vec3{};
+}
+
+struct Quadric {
+  float xx = 0, xy = 0, xz = 0, yy = 0, yz = 0, zz = 0;  // A
+  float bx = 0, by = 0, bz = 0;                          // b
+  float c = 0;
+
+  // w · (n·y + d)²
+  void add_plane(Vec3 n, float d, float w) {
+    const Vec3 m = n * w;
+    xx += m.x * n.x, xy += m.x * n.y, xz += m.x * n.z, yy += m.y * n.y, yz += m.y * n.z, zz += m.z * n.z;
+    bx += m.x * d, by += m.y * d, bz += m.z * d;
+    c += w * d * d;
+  }
+  Quadric& operator+=(const Quadric& q) {
+    xx += q.xx, xy += q.xy, xz += q.xz, yy += q.yy, yz += q.yz, zz += q.zz;
+    bx += q.bx, by += q.by, bz += q.bz, c += q.c;
+    return *this;
+  }
+  Quadric& operator*=(float s) {
+    xx *= s, xy *= s, xz *= s, yy *= s, yz *= s, zz *= s, bx *= s, by *= s, bz *= s, c *= s;
+    return *this;
+  }
+  Vec3 times(Vec3 t) const {
+    return {xx * t.x + xy * t.y + xz * t.z, xy * t.x + yy * t.y + yz * t.z, xz * t.x + yz * t.y + zz * t.z};
+  }
+  float at(Vec3 y) const { return dot(times(y), y) + 2 * (bx * y.x + by * y.y + bz * y.z) + c; }
+  float trace() const { return xx + yy + zz; }
+
+  // The same function about an origin that lies `t` further on.
+  void move_origin(Vec3 t) {
+    const Vec3 at = times(t);
+    c += 2 * (bx * t.x + by * t.y + bz * t.z) + dot(at, t);
+    bx += at.x, by += at.y, bz += at.z;
+  }
+
+  // Minimiser of E(y) + damping · |y − toward|². False if the system is not well conditioned.
+  bool minimise(float damping, Vec3 toward, Vec3* y) const {
+    const float a = xx + damping, d = yy + damping, f = zz + damping;
+    const float rx = damping * toward.x - bx, ry = damping * toward.y - by, rz = damping * toward.z - bz;
+    // LDLᵀ
+    if (!(a > 0)) return false;
+    const float l1 = xy / a, l2 = xz / a;
+    const float d2 = d - l1 * xy, e2 = yz - l1 * xz;
+    if (!(d2 > 0)) return false;
+    const float l3 = e2 / d2;
+    const float d3 = f - l2 * xz - l3 * e2;
+    if (!(d3 > 0)) return false;
+    const float sy = ry - l1 * rx, sz = rz - l2 * rx - l3 * sy;
+    y->z = sz / d3;
+    y->y = sy / d2 - l3 * y->z;
+    y->x = rx / a - l1 * y->y - l2 * y->z;
+    return true;
+  }
+};
+
+}  // namespace lodpipe
