@@ -35,7 +35,8 @@ header=$("$python" -c 'import sysconfig; print(sysconfig.get_path("include") + "
 # Open3D's wheel links against these but does not bring them.
 libraries=
 cache=$(PATH="$PATH:/sbin:/usr/sbin" ldconfig -p 2>/dev/null || true)
-for pair in libusb-1.0.so.0=libusb-1.0-0 libGL.so.1=libgl1 libgomp.so.1=libgomp1 libX11.so.6=libx11-6; do
+for pair in libusb-1.0.so.0=libusb-1.0-0 libGL.so.1=libgl1 libEGL.so.1=libegl1 libgomp.so.1=libgomp1 \
+    libX11.so.6=libx11-6; do
     case $cache in *"${pair%=*} "*) ;; *) libraries="$libraries ${pair#*=}" ;; esac
 done
 libraries=${libraries# }
@@ -79,5 +80,5 @@ print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])')
 pip install --no-build-isolation --config-settings=build-dir=build/dev --editable '.[test,lint]'
 
 "$venv/bin/python" -c 'import open3d' 2>"$venv/open3d.log" ||
-    stop "Open3D does not start ($(tail -n 1 "$venv/open3d.log")); it needs: libusb-1.0-0 libgl1 libgomp1 libx11-6"
+    stop "Open3D does not start ($(tail -n 1 "$venv/open3d.log")); it needs the packages: libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6"
 say "ready"
