@@ -18,7 +18,6 @@ MAX_LINE = 1000  # characters; a longer one was written by a machine
 MAX_BYTES = 2_000_000
 TEXT = {
     ".py",
-    ".pyi",
     ".cpp",
     ".h",
     ".txt",
