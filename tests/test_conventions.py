@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import re
 import subprocess
@@ -10,6 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from lodpipe.plugins import find_stages
+from lodpipe.stage import AnyStage, Params, stage
+from lodpipe.stages import BUILTIN
 
 REPO = Path(__file__).parent.parent
 
@@ -224,3 +229,56 @@ def test_a_violation_is_found(tmp_path, check, name, bad, good):
     else:
         (tmp_path / name).write_text(good)
     assert check(tmp_path) == []
+
+
+def incomplete_stages(root: Path, stages: dict[str, AnyStage]) -> list[str]:
+    """Stages that lack a module, a test file, a row in the README's table, or words on themselves or a parameter.
+
+    Plug-ins lie in ``plugins/`` and are shown on a page of the documentation instead of in the README.
+    """
+    readme = (root / "README.md").read_text(encoding="utf-8")
+    pages = "".join(path.read_text(encoding="utf-8") for path in files(root) if path.match("docs/*.md"))
+    found = []
+    for name, known in stages.items():
+        built_in = known.origin == "built in"
+        if not (root / ("lodpipe/stages" if built_in else "plugins") / f"{name}.py").is_file():
+            found.append(f"{name}: no module of that name")
+        if not (root / "tests" / ("stages" if built_in else "plugins") / f"test_{name}.py").is_file():
+            found.append(f"{name}: no test file")
+        if not (re.search(rf"^\| *`{name}` *\|", readme, re.MULTILINE) if built_in else f"`{name}`" in pages):
+            found.append(f"{name}: no row in the README's table" if built_in else f"{name}: on no page of docs/")
+        if not known.summary.endswith("."):
+            found.append(f"{name}: the function's docstring does not begin with a sentence")
+        for field, info in known.params.model_fields.items():
+            if not info.description:
+                found.append(f"{name}.{field}: no docstring")
+    return found
+
+
+def test_every_stage_is_complete():
+    stages = find_stages([REPO / "plugins"], installed=False)
+    assert set(stages) > set(BUILTIN)
+    assert incomplete_stages(REPO, stages) == []
+
+
+class ThinParams(Params):
+    depth: int = 1
+
+
+@stage("thin")
+def thin(asset, params: ThinParams, context):
+    """no sentence"""
+
+
+def test_an_incomplete_stage_is_found(tmp_path):
+    (tmp_path / "README.md").write_text("`thin` is not in a table")
+    complaints = [
+        "thin: no module of that name",
+        "thin: no test file",
+        "thin: no row in the README's table",
+        "thin: the function's docstring does not begin with a sentence",
+        "thin.depth: no docstring",
+    ]
+    assert incomplete_stages(tmp_path, {"thin": thin}) == complaints
+    plugin = dataclasses.replace(thin, origin="plugins/thin.py")
+    assert incomplete_stages(tmp_path, {"thin": plugin})[2] == "thin: on no page of docs/"
