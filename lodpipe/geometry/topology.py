@@ -1,0 +1,142 @@
+"""How a mesh hangs together: edges, connected parts, and what is wrong with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodpipe.core.mesh import F64, I32, Mesh
+
+FLAT = 1e-12
+"""A triangle whose doubled area is at most this share of its longest edge's square has no area worth the name."""
+
+
+@dataclass(frozen=True)
+class TopologyDefects:
+    """Counts for one mesh, over its positions (seams in UVs or normals are not borders)."""
+
+    components: int
+    """Parts that share no position."""
+    boundary_edges: int
+    """Edges of one face."""
+    nonmanifold_edges: int
+    """Edges of three faces or more."""
+    inconsistent_winding: int
+    """Edges whose two faces run through them in the same direction: one of the two is inside out."""
+    degenerate_faces: int
+    """Faces without area."""
+    duplicate_faces: int
+    """Faces with the same three corners as an earlier one, whichever way round."""
+    unused_positions: int
+    """Positions that no face uses."""
+
+
+@dataclass(frozen=True)
+class UvDefects:
+    """Counts of faces for one UV set of one mesh."""
+
+    set: str
+    """TEXCOORD_0, …"""
+    missing: int
+    """Faces that have no such UVs."""
+    outside: int
+    """Faces that leave [0, 1]: tiling, or a mistake."""
+    zero_area: int
+    """Faces with an area in space but none in UV space."""
+
+
+def topology_defects(mesh: Mesh) -> TopologyDefects:
+    """Count the defects of `mesh`'s connectivity."""
+    faces = mesh.faces
+    used = np.zeros(len(mesh.positions), bool)
+    used[faces] = True
+    labels = components(faces, len(mesh.positions))
+    flat = _flat(_doubled_areas(mesh.positions, faces), _longest(mesh.positions, faces))
+    distinct = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    corners = np.sort(distinct, axis=1)
+    half = np.concatenate([distinct[:, [0, 1]], distinct[:, [1, 2]], distinct[:, [2, 0]]]).astype(np.int64)
+    edge = half.min(axis=1) * len(mesh.positions) + half.max(axis=1)
+    order = np.argsort(edge, kind="stable")
+    forward = (half[:, 0] < half[:, 1])[order]
+    _, first, count = np.unique(edge[order], return_index=True, return_counts=True)
+    pairs = first[count == 2]
+    return TopologyDefects(
+        components=len(np.unique(labels[used])),
+        boundary_edges=int((count == 1).sum()),
+        nonmanifold_edges=int((count > 2).sum()),
+        inconsistent_winding=int((forward[pairs] == forward[pairs + 1]).sum()) if len(pairs) else 0,
+        degenerate_faces=int(flat.sum()),
+        duplicate_faces=len(corners) - len(np.unique(corners, axis=0)),
+        unused_positions=int((~used).sum()),
+    )
+
+
+def uv_defects(mesh: Mesh) -> list[UvDefects]:
+    """Count the simple defects of each of `mesh`'s UV sets; TEXCOORD_0 is always among them."""
+    solid = ~_flat(_doubled_areas(mesh.positions, mesh.faces), _longest(mesh.positions, mesh.faces))
+    names = sorted({"TEXCOORD_0", *(name for name in mesh.attributes if name.startswith("TEXCOORD_"))})
+    return [_uv_set(mesh, name, solid) for name in names]
+
+
+def components(faces: I32, count: int) -> I32:
+    """Connected parts of (F, 3) int32 `faces` over `count` positions: (count,) int32 labels.
+
+    A part's label is the lowest position in it; a position without a face is a part of its own.
+    """
+    labels = np.arange(count, dtype=np.int32)
+    while len(faces):
+        lowest = labels[faces].min(axis=1)
+        joined = labels.copy()
+        np.minimum.at(joined, labels[faces].ravel(), np.repeat(lowest, 3))  # whole parts at once, by their labels
+        while True:
+            jumped = joined[joined]
+            if np.array_equal(jumped, joined):
+                break
+            joined = jumped
+        if np.array_equal(joined, labels):
+            break
+        labels = joined
+    return labels
+
+
+def _uv_set(mesh: Mesh, name: str, solid: NDArray[np.bool_]) -> UvDefects:
+    values = mesh.attributes.get(name)
+    if values is None:
+        return UvDefects(name, len(mesh.faces), 0, 0)
+    has = np.array([name in primitive.attributes for primitive in mesh.primitives], bool)[mesh.face_primitive]
+    uv = values[mesh.wedges].astype(np.float64)
+    outside = ((uv < 0) | (uv > 1)).any(axis=(1, 2))
+    a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    longest = np.maximum(np.maximum((a**2).sum(axis=1), (b**2).sum(axis=1)), ((a - b) ** 2).sum(axis=1))
+    zero = _flat(area, longest) & solid
+    return UvDefects(name, int((~has).sum()), int((outside & has).sum()), int((zero & has).sum()))
+
+
+def _flat(area: F64, longest: F64) -> NDArray[np.bool_]:
+    flat: NDArray[np.bool_] = area <= FLAT * longest
+    return flat
+
+
+def _scaled(positions: F64, faces: I32) -> F64:
+    """(F, 3, 3) corners, moved and scaled so that their squares neither overflow nor vanish."""
+    corners = positions[faces]
+    edges = corners - corners[:, :1]
+    largest = np.abs(edges).max(axis=(1, 2), keepdims=True) if len(edges) else np.ones((0, 1, 1))
+    return edges / np.where(largest > 0, largest, 1.0)
+
+
+def _doubled_areas(positions: F64, faces: I32) -> F64:
+    corners = _scaled(positions, faces)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas: F64 = np.sqrt((normal**2).sum(axis=1))
+    return areas
+
+
+def _longest(positions: F64, faces: I32) -> F64:
+    """Square of each face's longest edge, in the same scale."""
+    corners = _scaled(positions, faces)
+    sides = np.stack([((corners[:, k] - corners[:, k - 1]) ** 2).sum(axis=1) for k in range(3)])
+    return sides.max(axis=0) if sides.size else np.zeros(0)

@@ -1,0 +1,44 @@
+"""`report.json`: a report as data that any JSON reader takes (numbers are finite, or null with the reason beside)."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from lodpipe.core.report import SCHEMA_VERSION, Report
+
+NOT_MEASURED = "not measured: the chain has no stage that does"
+
+
+def report_data(report: Report) -> dict[str, Any]:
+    """The report as plain data; docs/formats.md lists the fields."""
+    data = dataclasses.asdict(report)
+    for level in data["lods"]:
+        for name in ("error", "visual", "switch"):
+            if level[name] is None:
+                level[f"{name}_reason"] = NOT_MEASURED
+    finite: dict[str, Any] = _finite({"schema_version": SCHEMA_VERSION, **data})
+    return finite
+
+
+def dump_report(report: Report, path: Path) -> None:
+    """Write the report to `path`."""
+    text = json.dumps(report_data(report), indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")  # names that are not Unicode: \\udcxx
+
+
+def _finite(value: Any) -> Any:
+    """`value` with null for every number that JSON does not have, and its reason in the key beside it."""
+    if isinstance(value, dict):
+        result = {}
+        for key, item in value.items():
+            result[key] = _finite(item)
+            if isinstance(item, float) and not math.isfinite(item):
+                result[f"{key}_reason"] = f"not a finite number ({item})"
+        return result
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

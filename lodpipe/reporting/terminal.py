@@ -1,0 +1,177 @@
+"""What a run says on the terminal: progress while it goes on, a summary for each asset, a last line for all."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Sequence
+from typing import Any, Protocol, TextIO
+
+from lodpipe.reporting.table import Style, clean, number, size, table
+
+REDRAW_SECONDS = 0.1
+_COLOURS = {"ok": "green", "unchanged": "green", "warnings": "yellow", "over_budget": "red"}
+
+
+class Result(Protocol):
+    """What became of one asset."""
+
+    input: str
+    place: str
+    outcome: str
+    folder: str
+    message: str
+    seconds: float
+    report: dict[str, Any] | None
+
+
+class Display:
+    """Shows a batch: progress and errors on one stream, results on the other."""
+
+    def __init__(self, out: TextIO, err: TextIO, *, quiet: bool = False) -> None:
+        self.out, self.err, self.quiet = out, err, quiet
+        self.live = err.isatty() and not quiet
+        self.total = self.steps = self.done = 0
+        self.running: dict[str, tuple[str, float]] = {}
+        self.results: list[Result] = []
+        self._drawn = 0.0
+        self._begin = time.monotonic()
+
+    def begin(self, total: int, steps: int) -> None:
+        """`total` assets are about to go through a chain of `steps` stages."""
+        self.total, self.steps = total, steps
+
+    def progress(self, place: str, index: int, name: str, share: float) -> None:
+        """An asset is in its `index`-th stage."""
+        new = self.running.get(place, ("", 0.0))[0] != name
+        self.running[place] = (name, share)
+        if self.live and (new or time.monotonic() - self._drawn >= REDRAW_SECONDS):
+            self._draw()
+        elif new and not self.live and not self.quiet:
+            self._line(self.err, f"[{self.done + 1}/{self.total}] {place}: {name}")
+
+    def finished(self, result: Result) -> None:
+        """An asset is through, or has failed."""
+        self.done += 1
+        self.running.pop(result.place, None)
+        self.results.append(result)
+        self._erase()
+        if result.message:
+            self._line(self.err, f"{Style(self.err)('error', 'red')}: {result.message}")
+        elif not self.quiet:
+            for line in summary(result, Style(self.out)):
+                self._line(self.out, line)
+        if self.live and self.done < self.total:
+            self._draw()
+
+    def __enter__(self) -> Display:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is None:
+            self.end()
+        else:
+            self._erase()
+
+    def end(self) -> None:
+        """The batch is over: say how it went, if that is not plain already."""
+        self._erase()
+        if self.total > 1 and not self.quiet:
+            self._line(self.out, totals(self.results, time.monotonic() - self._begin, Style(self.out)))
+
+    def _draw(self) -> None:
+        self._drawn = time.monotonic()
+        parts = [
+            f"{place}: {name}{f' {share:.0%}' if 0 < share < 1 else ''}"
+            for place, (name, share) in self.running.items()
+        ]
+        text = clean(f"[{self.done}/{self.total}] {' | '.join(parts)}")
+        width = shutil.get_terminal_size().columns - 1
+        self.err.write(f"\r\x1b[K{text if len(text) <= width else text[: width - 1] + '…'}")
+        self.err.flush()
+
+    def _erase(self) -> None:
+        if self.live:
+            self.err.write("\r\x1b[K")
+            self.err.flush()
+
+    def _line(self, stream: TextIO, text: str) -> None:
+        stream.write(text + "\n")
+        stream.flush()
+
+
+class JsonDisplay(Display):
+    """Says nothing but errors while it goes on, and one JSON document at the end."""
+
+    def __init__(self, out: TextIO, err: TextIO) -> None:
+        super().__init__(out, err, quiet=True)
+
+    def end(self) -> None:
+        names = ("input", "place", "outcome", "folder", "message", "seconds", "report")
+        assets = [{name: getattr(result, name) for name in names} for result in self.results]
+        self._line(self.out, json.dumps({"assets": assets}, indent=2, allow_nan=False))
+
+
+def summary(result: Result, style: Style) -> list[str]:
+    """The lines about one asset that was processed."""
+    word = style(result.outcome.replace("_", " "), _COLOURS.get(result.outcome, "red"))
+    report = result.report or {}
+    if result.outcome == "unchanged":
+        return [clean(f"{result.place}: ") + word + clean(f", {result.folder} is up to date")]
+    lines = [style(clean(result.place), "bold") + f": {word}, {result.seconds:.1f} s, " + clean(f"in {result.folder}")]
+    lines += _levels(report)
+    failed = [entry for entry in report.get("budgets", ()) if not entry["ok"]]
+    lines += [style(f"  over budget: {_budget(entry)}", "red") for entry in failed]
+    lines += [style("  warning: ", "yellow") + clean(text) for text in warnings_of(report)]
+    return lines
+
+
+def warnings_of(report: dict[str, Any]) -> list[str]:
+    """Every warning of a report, the stage's name before it."""
+    found = list(report.get("warnings", ()))
+    for stage in report.get("stages", ()):
+        found += [f"{stage['name']}: {text}" for text in stage["warnings"]]
+    return found
+
+
+def totals(results: Sequence[Result], seconds: float, style: Style) -> str:
+    """The last line of a batch."""
+    counts: dict[str, int] = {}
+    for result in results:
+        counts[result.outcome] = counts.get(result.outcome, 0) + 1
+    parts = [
+        style(f"{count} {outcome.replace('_', ' ')}", _COLOURS.get(outcome, "red")) for outcome, count in counts.items()
+    ]
+    return f"{len(results)} assets: {', '.join(parts)} ({seconds:.1f} s)"
+
+
+def _levels(report: dict[str, Any]) -> list[str]:
+    levels = report.get("lods", [])
+    if not levels:
+        return []
+    base = max(1, report.get("source", {}).get("triangles", 0) or levels[0]["triangles"])
+    head = (">level", ">triangles", ">%", ">vertices", ">size", ">mean error %", ">max error %", "stopped by")
+    rows = []
+    for level in levels:
+        error = level["error"] or {}
+        rows.append(
+            (
+                str(level["level"]),
+                number(level["triangles"]),
+                f"{100 * level['triangles'] / base:.1f}",
+                number(level["vertices"]),
+                size(level["bytes"]) if level["files"] else "–",
+                number(error.get("mean")),
+                number(error.get("max")),
+                clean(level["stop_reason"]),
+            )
+        )
+    return table(head, rows)
+
+
+def _budget(entry: dict[str, Any]) -> str:
+    where = "asset" if entry["level"] is None else f"level {entry['level']}"
+    value = entry["value"]
+    got = number(value) if value is not None else entry.get("value_reason", "no figure")
+    return f"{where}: {entry['figure']} {got}, at most {number(entry['limit'])}"

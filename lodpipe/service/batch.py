@@ -1,0 +1,149 @@
+"""`run`: many assets through one chain, one bad one not stopping the others."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from lodpipe.config.model import Limits
+from lodpipe.service import manifest
+from lodpipe.service.chain import Config, Loaded, Settings, load_chain
+from lodpipe.service.discover import Found, find_assets
+from lodpipe.service.job import REPORT, Job, Outcome, process
+from lodpipe.service.pool import run_isolated
+from lodpipe.service.publish import Output
+
+Inputs = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+
+
+class Listener(Protocol):
+    """Told what happens while a batch runs."""
+
+    def begin(self, total: int, steps: int) -> None:
+        """`total` assets are about to go through a chain of `steps` stages."""
+
+    def progress(self, place: str, index: int, name: str, share: float) -> None:
+        """An asset is in the stage `name`, the `index`-th, of which a `share` is done."""
+
+    def finished(self, outcome: Outcome) -> None:
+        """An asset is through, or has failed."""
+
+
+class Silent:
+    """A listener that says nothing."""
+
+    def begin(self, total: int, steps: int) -> None: ...
+    def progress(self, place: str, index: int, name: str, share: float) -> None: ...
+    def finished(self, outcome: Outcome) -> None: ...
+
+
+@dataclass
+class Batch:
+    """What became of every asset of a run, in the order in which they ended."""
+
+    outcomes: list[Outcome] = field(default_factory=list)
+
+    @property
+    def exit_code(self) -> int:
+        """0 all fine, 1 an asset failed or is over budget, 3 a bug."""
+        return max((outcome.exit_code for outcome in self.outcomes), default=0)
+
+    @property
+    def ok(self) -> bool:
+        """Whether every asset was processed and is within its budgets."""
+        return self.exit_code == 0
+
+
+def run(
+    inputs: Inputs,
+    config: Config = "default",
+    output: str | os.PathLike[str] = "out",
+    *,
+    settings: Settings = (),
+    plugins: Iterable[str | Path] = (),
+    workers: int = 1,
+    force: bool = False,
+    listener: Listener | None = None,
+) -> Batch:
+    """Make levels of detail of every asset that `inputs` (files, folders, globs) name, into `output`.
+
+    `config` is a path, a preset's name or the configuration as a mapping; `settings` stand over it. An asset whose
+    result is there already, from the same content and configuration, is skipped unless `force`. Several assets, or
+    several `workers`, get a fresh process each; a single one is done in this process, unless limits of memory or time
+    were set. Raises ConfigError; what is wrong with an asset is an outcome, not an exception.
+    """
+    listener = listener or Silent()
+    loaded = load_chain(config, settings, plugins)
+    batch = Batch()
+    listed = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
+    root = Path(output)
+    found, problems = find_assets(listed, root)
+    listener.begin(len(found) + len(problems), len(loaded.pipeline.steps))
+
+    def add(outcome: Outcome) -> None:
+        batch.outcomes.append(outcome)
+        listener.finished(outcome)
+
+    for problem in problems:
+        add(Outcome(problem.place, "", "failed", "", str(problem)))
+    if not found:
+        return batch
+    place = Output(root)
+    place.sweep()
+    jobs = []
+    for asset in found:
+        same = None if force else _published(asset, root, loaded)
+        if same:
+            place.forget_failure(asset.place)
+            add(same)
+        else:
+            jobs.append(_job(asset, root, loaded, max(1, min(workers, len(found)))))
+    for outcome in _done(jobs, workers, len(found) > 1, listener.progress):
+        add(outcome)
+    return batch
+
+
+def _done(
+    jobs: list[Job], workers: int, many: bool, progress: Callable[[str, int, str, float], None]
+) -> Iterator[Outcome]:
+    if many or workers > 1 or any(_limited(job) for job in jobs):
+        yield from run_isolated(
+            jobs, workers, lambda job, index, name, share: progress(str(job.place), index, name, share)
+        )
+        return
+    for job in jobs:
+        yield process(job, functools.partial(progress, str(job.place)))
+
+
+def _limited(job: Job) -> bool:
+    """Whether somebody cares about limits that only a process of its own can keep for sure."""
+    defaults = Limits()
+    return (job.limits.memory_gb, job.limits.minutes) != (defaults.memory_gb, defaults.minutes)
+
+
+def _job(asset: Found, root: Path, loaded: Loaded, workers: int) -> Job:
+    config = loaded.pipeline.config
+    shared = max(1, (os.cpu_count() or 1) // workers) if workers > 1 else 0
+    return Job(
+        path=str(asset.path),
+        folder=asset.folder,
+        name=asset.name,
+        output=str(root),
+        config=loaded.pipeline.resolved(),
+        plugins=tuple(str(folder.resolve()) for folder in loaded.folders),
+        threads=config.threads or shared,
+    )
+
+
+def _published(asset: Found, root: Path, loaded: Loaded) -> Outcome | None:
+    """The outcome of an asset whose result is there already."""
+    folder = root / asset.place
+    if not manifest.current(folder, asset.path, loaded.pipeline):
+        return None
+    report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+    return Outcome(str(asset.path), str(asset.place), "unchanged", str(folder), report=report)

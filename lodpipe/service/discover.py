@@ -1,0 +1,144 @@
+"""Files, folders and globs to a list of assets, each with the place of its output."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from lodpipe import io
+from lodpipe.core.errors import AssetError, LodpipeError
+
+STATE = ".lodpipe"
+"""The folder in an output folder that marks it as one: temporary folders, the daemon's state."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """An asset, and where its output goes: ``<output>/<folder>/<name>/``."""
+
+    path: Path
+    folder: str
+    """Relative, with slashes; empty for none."""
+    name: str
+
+    @property
+    def place(self) -> PurePosixPath:
+        """Folder and name."""
+        return PurePosixPath(self.folder, self.name)
+
+
+def find_assets(inputs: Iterable[str | os.PathLike[str]], output: Path) -> tuple[list[Found], list[LodpipeError]]:
+    """The assets that `inputs` name, in order, and what could not be found.
+
+    A file stands for itself; a folder for every asset in and below it, whose relative folders the output keeps; a
+    glob (``models/**/*.glb``) for what it matches, relative to its fixed part. Hidden files and folders, `output`
+    and other output folders of lodpipe are left out of folders and globs. A file that is named twice counts once.
+    """
+    wanted: list[tuple[Path, str]] = []
+    problems: list[LodpipeError] = []
+    seen: set[Path] = set()
+    for given in inputs:
+        try:
+            for path, folder in _expand(os.fspath(given), output.resolve()):
+                if (real := path.resolve()) not in seen:
+                    seen.add(real)
+                    wanted.append((path, folder))
+        except LodpipeError as error:
+            problems.append(error)
+    return _named(wanted), problems
+
+
+def _expand(given: str, output: Path) -> list[tuple[Path, str]]:
+    path = Path(given)
+    if path.is_dir():
+        found = [(file, _relative(file.parent, path)) for file in _walk(path, output)]
+        if not found:
+            raise AssetError("has no assets in it", place=given, advice=f"known formats: {', '.join(io.FORMATS)}")
+        return found
+    if path.exists():
+        return [(path, "")]
+    if glob.has_magic(given):
+        root = _fixed_part(path)
+        files = sorted(Path(match) for match in glob.glob(given, recursive=True))  # noqa: PTH207 it takes whole paths
+        found = []
+        for file in files:
+            inside = _walk(file, output) if file.is_dir() and path.name != "**" else [file]
+            found += [(f, _relative(f.parent, root)) for f in inside if _is_candidate(f) and not _within(f, output)]
+        if not found:
+            raise AssetError("matches no asset", place=given, advice=f"known formats: {', '.join(io.FORMATS)}")
+        return found
+    raise AssetError("there is no such file or folder", place=given, advice="check the path; quote globs")
+
+
+def _walk(top: Path, output: Path) -> Iterator[Path]:
+    for folder, folders, files in os.walk(top):
+        here = Path(folder)
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not name.startswith(".") and not (here / name / STATE).is_dir() and (here / name).resolve() != output
+        )
+        yield from (path for path in (here / name for name in sorted(files)) if _is_candidate(path))
+
+
+def _is_candidate(path: Path) -> bool:
+    return not path.name.startswith((".", "~$")) and path.is_file() and io.is_asset(path)
+
+
+def _within(path: Path, folder: Path) -> bool:
+    return path.resolve().is_relative_to(folder)
+
+
+def _fixed_part(pattern: Path) -> Path:
+    parts = []
+    for part in pattern.parts[:-1]:
+        if glob.has_magic(part):
+            break
+        parts.append(part)
+    return Path(*parts)
+
+
+def _relative(folder: Path, root: Path) -> str:
+    text = folder.relative_to(root).as_posix()
+    return "" if text == "." else text
+
+
+def _named(wanted: list[tuple[Path, str]]) -> list[Found]:
+    """A name of its own for each output, whatever the file system thinks of upper and lower case.
+
+    The file's name without its ending; where that is taken, with the format after it (``duck_obj``), then with a
+    number. Taken is also what other assets need as a folder. Formats go in the order of `io.FORMATS`, so that
+    ``duck.glb`` keeps its name beside ``duck.obj``.
+    """
+    order = list(io.FORMATS)
+    rank = {
+        index: order.index(_format(path)) if _format(path) in order else len(order)
+        for index, (path, _) in enumerate(wanted)
+    }
+    taken = {
+        str(parent).casefold()
+        for _, folder in wanted
+        for parent in (PurePosixPath(folder), *PurePosixPath(folder).parents)
+    }
+    names: dict[int, str] = {}
+    for index in sorted(rank, key=lambda index: (rank[index], index)):
+        path, folder = wanted[index]
+        stem = path.stem.rstrip(". ") or "asset"
+        stem = f"_{stem[1:]}" if stem.startswith(".") else stem
+        choices = [stem, f"{stem}_{_format(path)}"]
+        number = 2
+        while str(PurePosixPath(folder, choices[0])).casefold() in taken:
+            choices.pop(0)
+            if not choices:
+                choices.append(f"{stem}_{_format(path)}_{number}")
+                number += 1
+        names[index] = choices[0]
+        taken.add(str(PurePosixPath(folder, choices[0])).casefold())
+    return [Found(path, folder, names[index]) for index, (path, folder) in enumerate(wanted)]
+
+
+def _format(path: Path) -> str:
+    return path.suffix.lower().lstrip(".")

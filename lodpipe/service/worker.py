@@ -1,0 +1,57 @@
+"""The fresh process that does one job: ``python -m lodpipe.service.worker FD``.
+
+The job comes as a line of JSON on stdin, which then stays open for as long as the parent lives; what happens goes as
+lines of JSON to the file descriptor FD, so that whatever a library prints cannot disturb it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import faulthandler
+import json
+import os
+import sys
+import threading
+import time
+from typing import Any
+
+from lodpipe.core.errors import LodpipeError
+from lodpipe.service.job import Job, process
+
+PROGRESS_SECONDS = 0.1
+"""Shortest time between two lines about progress within a stage."""
+ORPHANED = 130
+
+
+def main() -> int:
+    """Do the job; the exit code says only whether an outcome was delivered."""
+    faulthandler.enable()
+    with open(int(sys.argv[1]), "w", encoding="ascii", buffering=1) as events:  # noqa: PTH123 a descriptor, no path
+        data = json.loads(sys.stdin.readline())
+        job = Job(**{**data, "plugins": tuple(data["plugins"])})
+        threading.Thread(target=_die_with_parent, daemon=True).start()
+        last: list[Any] = ["", 0.0]
+
+        def progress(index: int, name: str, share: float) -> None:
+            now = time.monotonic()
+            if name != last[0] or now - last[1] >= PROGRESS_SECONDS:
+                last[:] = [name, now]
+                events.write(json.dumps({"progress": [index, name, share]}) + "\n")
+
+        try:
+            outcome = process(job, progress)
+        except LodpipeError as error:
+            events.write(json.dumps({"error": str(error)}) + "\n")
+            return 1
+        events.write(json.dumps({"outcome": dataclasses.asdict(outcome)}) + "\n")
+    return 0
+
+
+def _die_with_parent() -> None:
+    """End this process when stdin ends: nobody is left who wants the result."""
+    sys.stdin.read()
+    os._exit(ORPHANED)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
