@@ -1,6 +1,7 @@
 # What people, hooks and continuous integration call. Each target does its own set-up; `make` alone lists them.
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
+.NOTPARALLEL:
 MAKEFLAGS += --no-print-directory
 
 VENV := .venv
@@ -93,7 +94,7 @@ $(SANITIZE_BUILD)/build.ninja: $(READY) lodpipe/kernel/CMakeLists.txt
 		-DCMAKE_BUILD_TYPE=RelWithDebInfo -DLODPIPE_SANITIZE=ON -DPython_EXECUTABLE=$(abspath $(PY)) \
 		-Dnanobind_DIR=$$($(PY) -m nanobind --cmake_dir) >/dev/null
 
-$(SAMPLES): $(READY) $(wildcard sample_assets/*.py)
+$(SAMPLES): $(wildcard sample_assets/*.py) | $(NATIVE)
 	@echo "samples: making the models in sample_assets"
 	@$(PY) sample_assets/make.py
 	@touch $@
