@@ -38,7 +38,7 @@ class Pipeline:
 
     def resolved(self) -> dict[str, Any]:
         """All of it as plain data, defaults included; a Source of it loads to the same pipeline."""
-        return resolved(self.config, self.steps)
+        return resolved(self.config)
 
     def run(
         self,

@@ -24,7 +24,7 @@ class Step:
 
 
 def bind(source: Source, known: Mapping[str, AnyStage]) -> tuple[Config, tuple[Step, ...]]:
-    """The configuration in `source` with its stages looked up in `known`.
+    """The configuration in `source`, its stages resolved to all their parameters, and the same as steps.
 
     Raises ConfigErrors with every problem found, one line each.
     """
@@ -38,8 +38,8 @@ def bind(source: Source, known: Mapping[str, AnyStage]) -> tuple[Config, tuple[S
         problems.raise_all()
     config = validate(Config, data, (), source, problems)
     steps = []
-    listed = data.get("stages")
-    for index, entry in enumerate(listed if isinstance(listed, list) else ()):
+    entries = data.get("stages")
+    for index, entry in enumerate(entries if isinstance(entries, list) else ()):
         step = _step(entry, ("stages", index), source, known, problems)
         if step:
             steps.append(step)
@@ -47,14 +47,15 @@ def bind(source: Source, known: Mapping[str, AnyStage]) -> tuple[Config, tuple[S
     problems.raise_all()
     if config is None:  # validate has left a problem, so this is out of reach; said for the type checker
         raise AssertionError("a configuration without problems must exist")
-    return config, tuple(steps)
+    listed = tuple({step.stage.name: step.params.model_dump(mode="json")} for step in steps)
+    return config.model_copy(update={"stages": listed}), tuple(steps)
 
 
-def resolved(config: Config, steps: tuple[Step, ...]) -> dict[str, Any]:
-    """Everything that the configuration means, defaults included, as plain data that `bind` takes again."""
-    data: dict[str, Any] = config.model_dump(mode="json", exclude_none=True)
-    data["stages"] = [{step.stage.name: step.params.model_dump(mode="json")} for step in steps]
-    return data
+def resolved(config: Config) -> dict[str, Any]:
+    """Everything that a bound configuration means, defaults included, as plain data that `bind` takes again."""
+    data: dict[str, Any] = config.model_dump(mode="json", exclude={"lods", "budgets"})
+    targets = config.model_dump(mode="json", include={"lods", "budgets"}, exclude_none=True)
+    return {name: (data | targets)[name] for name in Config.model_fields}
 
 
 def _step(entry: Any, path: Path_, source: Source, known: Mapping[str, AnyStage], problems: Problems) -> Step | None:

@@ -83,7 +83,8 @@ def _problem(model: type[BaseModel], entry: Any, at: Path_, source: Source) -> t
         return source.place(path, key=True), show_path(path[:-1]), cause
     if kind == "missing":
         return source.place(path[:-1]), show_path(path[:-1]), f"'{path[-1]}' is missing"
-    return source.place(path), show_path(path), _cause(kind, entry, given)
+    of_key = entry["loc"][-1:] == ("[key]",)
+    return source.place(path, key=of_key), show_path(path), _cause(kind, entry, given)
 
 
 def _cause(kind: str, entry: Any, given: Any) -> str:

@@ -111,7 +111,7 @@ def scalar(text: str) -> Any:
 
 def dump(data: Any) -> str:
     """Plain data as YAML text that reads back as the same data."""
-    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=110)
+    return yaml.safe_dump(data, sort_keys=False, width=110)
 
 
 class _TooMuch(Exception):
