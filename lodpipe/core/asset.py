@@ -89,6 +89,8 @@ class Lod:
     """Measured; None until a stage has measured it."""
     switch: Switch | None = None
     """None until a stage has settled it."""
+    relaxed: bool = False
+    """Whether holes or handles had to be given up to reach the target."""
 
     @property
     def triangles(self) -> int:

@@ -51,7 +51,7 @@ class QuadricOptions:
     flip_degrees: float = 78.0
     """Largest turn of a face's normal in one collapse, 0…90."""
     round_share: float = 1 / 16
-    """Share of the live vertices that one round considers, 0…1: smaller is nearer to the global order, larger faster."""
+    """Share of the live vertices that one round considers, 0…1: smaller is nearer to the best order, larger is faster."""
     max_error: float | None = None
     """Stop where the estimated deviation would pass this, object units."""
     record: bool = False

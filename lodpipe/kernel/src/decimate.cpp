@@ -23,6 +23,7 @@ constexpr int kBlocks = 16;
 constexpr int kLeastBlock = 2048;        // live vertices
 constexpr float kLeastQuality = 1e-3f;   // 2·area / longest edge², below which a new face is a sliver
 constexpr size_t kSmallRing = 48;        // up to here a linear search beats sorting
+constexpr int kNext[3] = {1, 2, 0};
 
 struct Neighbour {
   int32_t vertex;
@@ -31,9 +32,9 @@ struct Neighbour {
 
 // Working memory of one thread.
 struct Scratch {
-  std::vector<int32_t> owned, ring_v, ring_u, before;
+  std::vector<int32_t> owned, ring_v, ring_u, between, before;
   std::vector<Neighbour> near_v, near_u;
-  std::vector<std::pair<float, int32_t>> costs;
+  std::vector<float> costs;
   Merge merge;
 };
 
@@ -86,41 +87,44 @@ class Decimator {
     a.flags &= static_cast<uint8_t>(~(kDirty | kRetry | kVanish));
     w.owned.clear();
     int faces = 0;
-    each_face(a, [&](int32_t c, const Face& f) {
-      ++faces;
-      for (int k = 0; k < 3; ++k) {
-        const int32_t u = f.v[k];
-        if (u <= v || k == slot_of(c)) continue;
-        if (w.owned.size() > kSmallRing || std::find(w.owned.begin(), w.owned.end(), u) == w.owned.end()) w.owned.push_back(u);
-      }
-    });
+    if (a.flags & kIrregular) {
+      each_face(a, [&](int32_t c, const Face& f) {
+        ++faces;
+        for (int k = 0; k < 3; ++k)
+          if (f.v[k] > v && k != slot_of(c)) w.owned.push_back(f.v[k]);
+      });
+      std::sort(w.owned.begin(), w.owned.end());
+      w.owned.erase(std::unique(w.owned.begin(), w.owned.end()), w.owned.end());
+    } else {  // each neighbour follows v in just one face
+      each_face(a, [&](int32_t c, const Face& f) {
+        ++faces;
+        const int32_t u = f.v[kNext[slot_of(c)]];
+        if (u > v) w.owned.push_back(u);
+      });
+    }
     s_.cost[v] = kInfinity;
     s_.partner[v] = kNone;
     if (!faces) {
       a.flags |= kDead;
       return;
     }
-    if (w.owned.size() > kSmallRing) {
-      std::sort(w.owned.begin(), w.owned.end());
-      w.owned.erase(std::unique(w.owned.begin(), w.owned.end()), w.owned.end());
-    }
     if (w.owned.empty()) return;
-    if (faces <= kVanishFaces - 1 && gather_component(v, w.before)) {
+    if (faces < kVanishFaces && gather_component(v, w.before)) {
       a.flags |= kVanish;
       if (a.skip == 0) s_.cost[v] = vanishing_cost(w.before), s_.partner[v] = w.owned[0];
       return;
     }
-    if (a.skip == 0) {
-      for (const int32_t u : w.owned) {
-        const float cost = w.merge.cost(s_, options_, v, u);
-        if (cost < s_.cost[v]) s_.cost[v] = cost, s_.partner[v] = u;
+    w.costs.resize(w.owned.size());
+    w.merge.costs(s_, options_, v, w.owned, w.costs.data());
+    if (a.skip >= w.owned.size()) return;
+    for (int n = 0;; ++n) {
+      const auto best = std::min_element(w.costs.begin(), w.costs.end());
+      if (n == a.skip) {
+        if (*best < kInfinity) s_.cost[v] = *best, s_.partner[v] = w.owned[best - w.costs.begin()];
+        return;
       }
-      return;
+      *best = kInfinity;
     }
-    w.costs.clear();
-    for (const int32_t u : w.owned) w.costs.push_back({w.merge.cost(s_, options_, v, u), u});
-    std::sort(w.costs.begin(), w.costs.end());
-    if (a.skip < w.costs.size()) s_.cost[v] = w.costs[a.skip].first, s_.partner[v] = w.costs[a.skip].second;
   }
 
   // The vertices of v's component if it has at most kVanishFaces faces.
@@ -259,13 +263,14 @@ class Decimator {
     gather_ring(v, w.ring_v, w.near_v);
     gather_ring(u, w.ring_u, w.near_u);
     if (block >= 0 && !(inside(w.near_v, block, width) && inside(w.near_u, block, width))) return Outcome::wait;
-
+    // faces on the edge apart from those that stay
+    w.between.clear();
+    split(w.ring_v, u, &w.between);
+    split(w.ring_u, v, nullptr);
     int shared = 0;
-    for (const int32_t c : w.ring_u)
-      if (has(s_.faces[face_of(c)], v) && !s_.faces[face_of(c)].link()) ++shared;
+    for (const int32_t c : w.between) shared += !s_.faces[face_of(c)].link();
     if (block >= 0 && shared > 2) return Outcome::wait;
-    if (block < 0 && shared > wanted - out.removed && out.removed > 0 && shared > 2) return Outcome::touched;
-
+    if (shared > 2 && shared > wanted - out.removed && out.removed > 0) return Outcome::touched;
     if (keep_topology_ && !link_condition(v, u, shared, w)) return refuse(a, out, Stop::topology);
     Vec3 y;
     const float cost = w.merge.place(s_, options_, v, u, &y);
@@ -278,7 +283,7 @@ class Decimator {
       w.near_v.swap(w.near_u);
     }
     const Vec3 x = s_.vertices[v].p + y;
-    if (turns(w.ring_v, u, v, x) || turns(w.ring_u, v, u, x)) return refuse(s_.vertices[order_[i].id], out, Stop::flip);
+    if (turns(w.ring_v, v, x) || turns(w.ring_u, u, x)) return refuse(s_.vertices[order_[i].id], out, Stop::flip);
 
     apply(i, v, u, x, error, w, out);
     s_.stamp[v] = s_.stamp[u] = round_;
@@ -305,29 +310,33 @@ class Decimator {
   void gather_ring(int32_t v, std::vector<int32_t>& ring, std::vector<Neighbour>& near) {
     ring.clear();
     near.clear();
-    for (int32_t c = s_.vertices[v].head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)]) {
-      const Face& f = s_.faces[face_of(c)];
-      if (f.dead()) continue;
+    const bool regular = !(s_.vertices[v].flags & kIrregular);
+    each_face(s_.vertices[v], [&](int32_t c, const Face& f) {
       ring.push_back(c);
-      for (const int32_t u : f.v) {
-        if (u == v || u == kNone) continue;
-        if (near.size() <= kSmallRing) {
-          auto it = std::find_if(near.begin(), near.end(), [u](const Neighbour& n) { return n.vertex == u; });
-          if (it != near.end()) {
-            it->faces += !f.link();
-            continue;
-          }
-        }
-        near.push_back({u, f.link() ? 0 : 1});
+      if (regular) {
+        near.push_back({f.v[kNext[slot_of(c)]], 2});
+        return;
       }
-    }
-    if (near.size() <= kSmallRing) return;
+      for (const int32_t u : f.v)
+        if (u != v && u != kNone) near.push_back({u, !f.link()});
+    });
+    if (regular && near.size() <= kSmallRing) return;
     std::sort(near.begin(), near.end(), [](const Neighbour& a, const Neighbour& b) { return a.vertex < b.vertex; });
+    if (regular) return;
     size_t kept = 0;
     for (size_t i = 0; i < near.size(); ++i)
       if (kept && near[kept - 1].vertex == near[i].vertex) near[kept - 1].faces += near[i].faces;
       else near[kept++] = near[i];
     near.resize(kept);
+  }
+
+  // Takes the corners of faces that have `other` out of the ring.
+  void split(std::vector<int32_t>& ring, int32_t other, std::vector<int32_t>* out) const {
+    size_t kept = 0;
+    for (const int32_t c : ring)
+      if (!has(s_.faces[face_of(c)], other)) ring[kept++] = c;
+      else if (out) out->push_back(c);
+    ring.resize(kept);
   }
 
   static const Neighbour* find(const std::vector<Neighbour>& near, int32_t v) {
@@ -346,9 +355,9 @@ class Decimator {
     size_t common = 0;
     for (const Neighbour& n : w.near_u) common += find(w.near_v, n.vertex) != nullptr;
     w.before.clear();
-    for (const int32_t c : w.ring_u) {
+    for (const int32_t c : w.between) {
       const Face& f = s_.faces[face_of(c)];
-      if (f.link() || !has(f, v)) continue;
+      if (f.link()) continue;
       const int32_t opposite = f.v[0] + f.v[1] + f.v[2] - u - v;
       if (std::find(w.before.begin(), w.before.end(), opposite) == w.before.end()) w.before.push_back(opposite);
     }
@@ -361,13 +370,13 @@ class Decimator {
   }
 
   // Would a face of `ring` that stays turn over, or become a sliver, when its corner `moving` goes to x?
-  bool turns(const std::vector<int32_t>& ring, int32_t other, int32_t moving, Vec3 x) const {
+  bool turns(const std::vector<int32_t>& ring, int32_t moving, Vec3 x) const {
     const Vec3 p = s_.vertices[moving].p;
     for (const int32_t c : ring) {
       const Face& f = s_.faces[face_of(c)];
-      if (f.link() || has(f, other)) continue;
-      const int k = slot_of(c);
-      const Vec3 q = s_.vertices[f.v[(k + 1) % 3]].p, r = s_.vertices[f.v[(k + 2) % 3]].p;
+      if (f.link()) continue;
+      const int k = kNext[slot_of(c)];
+      const Vec3 q = s_.vertices[f.v[k]].p, r = s_.vertices[f.v[kNext[k]]].p;
       const Vec3 e = r - q, old_side = p - q, new_side = x - q;
       const Vec3 n0 = cross(e, old_side), n1 = cross(e, new_side);
       const float size0 = dot(n0, n0), size1 = dot(n1, n1);
@@ -387,37 +396,35 @@ class Decimator {
     Vertex &a = s_.vertices[v], &b = s_.vertices[u];
     w.merge.commit(s_, v, u, x - a.p);
     const Merge& m = w.merge;
-    int32_t* link = &a.head;
     int removed = 0;
-    const auto keep = [&](int32_t c) {
-      *link = c;
-      link = &s_.faces[face_of(c)].next[slot_of(c)];
-    };
-    for (const int32_t c : w.ring_v) {
+    for (const int32_t c : w.between) {
       Face& f = s_.faces[face_of(c)];
-      if (has(f, u)) {
-        removed += !f.link();
-        f.v[0] = kNone;
-        continue;
-      }
-      if (s_.columns && !f.link()) f.w[slot_of(c)] = m.target(f.w[slot_of(c)]);
-      keep(c);
+      removed += !f.link();
+      f.v[0] = kNone;
     }
-    for (const int32_t c : w.ring_u) {
+    int32_t* link = &a.head;
+    const auto keep = [&](int32_t c) {
       Face& f = s_.faces[face_of(c)];
-      if (f.dead()) continue;
       f.v[slot_of(c)] = v;
       if (s_.columns && !f.link()) f.w[slot_of(c)] = m.target(f.w[slot_of(c)]);
-      keep(c);
-    }
+      *link = c;
+      link = &f.next[slot_of(c)];
+    };
+    for (const int32_t c : w.ring_v) keep(c);
+    for (const int32_t c : w.ring_u) keep(c);
     *link = kNone;
-    for (const Neighbour& n : w.near_v) s_.vertices[n.vertex].flags |= kDirty;
-    for (const Neighbour& n : w.near_u) s_.vertices[n.vertex].flags |= kDirty;
+    // an edge belongs to its lower end: above v nothing changed but for those whose partner is gone
+    for (const auto* near : {&w.near_v, &w.near_u})
+      for (const Neighbour& n : *near) {
+        Vertex& other = s_.vertices[n.vertex];
+        if (n.vertex < v || s_.partner[n.vertex] == u || other.skip) other.flags |= kDirty;
+      }
     a.q = m.quadric;
     a.p = x;
     a.error = error;
     a.flags |= kDirty;
     if (m.moved) a.flags |= kMoved;
+    a.flags |= b.flags & kIrregular;
     a.flags = static_cast<uint8_t>((a.flags & ~(kSeveralWedges | kLocked)) | (m.groups() > 1 ? kSeveralWedges : 0) |
                                    ((a.flags | b.flags) & kLocked));
     b.flags = kDead;
@@ -524,7 +531,7 @@ class Decimator {
       keep_topology_ = false;
       relaxed_ = true;
       refused_ = {};
-      for (const int32_t v : s_.live) s_.vertices[v].flags |= kDirty;
+      for (const int32_t v : s_.live) s_.vertices[v].flags |= kDirty | kIrregular;
       return Stop::triangles;
     }
     if (max_error_ < kInfinity && refused_[static_cast<size_t>(Stop::error)]) return Stop::error;

@@ -21,6 +21,24 @@ class Merge {
   bool locked = false;   // after place(): a lock forbids it
   int32_t kept = kNone;  // after place(): the vertex that stays
 
+  // Costs of merging v with each of `others`: the same as place(), four at a time where nothing but planes steers.
+  void costs(const State& s, const Options& options, int32_t v, const std::vector<int32_t>& others, float* out) {
+    const Vertex& a = s.vertices[v];
+    const size_t count = others.size();
+    if (options.placement != Placement::optimal || s.steering || (a.flags & kLocked)) {
+      for (size_t i = 0; i < count; ++i) out[i] = cost(s, options, v, others[i]);
+      return;
+    }
+    for (size_t i = 0; i < count; i += 4) {
+      const Vertex* b[4];
+      for (size_t k = 0; k < 4; ++k) b[k] = &s.vertices[others[std::min(i + k, count - 1)]];
+      Lanes four;
+      const int sound = plane_costs(a, b, &four);
+      for (size_t k = 0; k < 4 && i + k < count; ++k)
+        out[i + k] = sound >> k & 1 && !(b[k]->flags & kLocked) ? four[k] : cost(s, options, v, others[i + k]);
+    }
+  }
+
   float cost(const State& s, const Options& options, int32_t v, int32_t u) {
     Vec3 y;
     return place(s, options, v, u, &y);
@@ -108,6 +126,41 @@ class Merge {
   void reset() { members_.clear(), groups_.clear(), links_.clear(); }
 
  private:
+  using Lanes = float __attribute__((vector_size(16)));
+
+  // place() for four neighbours in the lanes of a vector; bit k of the result: lane k needs no fall-back.
+  static int plane_costs(const Vertex& a, const Vertex* const b[4], Lanes* cost) {
+    const auto pick = [&](auto field) { return Lanes{field(*b[0]), field(*b[1]), field(*b[2]), field(*b[3])}; };
+    const Lanes dx = pick([](const Vertex& v) { return v.p.x; }) - a.p.x;
+    const Lanes dy = pick([](const Vertex& v) { return v.p.y; }) - a.p.y;
+    const Lanes dz = pick([](const Vertex& v) { return v.p.z; }) - a.p.z;
+    Lanes xx = pick([](const Vertex& v) { return v.q.xx; }), xy = pick([](const Vertex& v) { return v.q.xy; });
+    Lanes xz = pick([](const Vertex& v) { return v.q.xz; }), yy = pick([](const Vertex& v) { return v.q.yy; });
+    Lanes yz = pick([](const Vertex& v) { return v.q.yz; }), zz = pick([](const Vertex& v) { return v.q.zz; });
+    Lanes bx = pick([](const Vertex& v) { return v.q.bx; }), by = pick([](const Vertex& v) { return v.q.by; });
+    Lanes bz = pick([](const Vertex& v) { return v.q.bz; }), c = pick([](const Vertex& v) { return v.q.c; });
+    const Lanes ax = xx * dx + xy * dy + xz * dz, ay = xy * dx + yy * dy + yz * dz, az = xz * dx + yz * dy + zz * dz;
+    c = c - 2 * (bx * dx + by * dy + bz * dz) + (ax * dx + ay * dy + az * dz) + a.q.c;
+    bx = bx - ax + a.q.bx, by = by - ay + a.q.by, bz = bz - az + a.q.bz;
+    xx += a.q.xx, xy += a.q.xy, xz += a.q.xz, yy += a.q.yy, yz += a.q.yz, zz += a.q.zz;
+    const Lanes trace = xx + yy + zz, damping = kDamping * trace;
+    const Lanes mx = 0.5f * dx, my = 0.5f * dy, mz = 0.5f * dz;
+    const Lanes p = xx + damping, q = yy + damping, r = zz + damping;
+    const Lanes rx = damping * mx - bx, ry = damping * my - by, rz = damping * mz - bz;
+    const Lanes cxx = q * r - yz * yz, cxy = xz * yz - xy * r, cxz = xy * yz - xz * q;
+    const Lanes cyy = p * r - xz * xz, cyz = xy * xz - p * yz, czz = p * q - xy * xy;
+    const Lanes det = p * cxx + xy * cxy + xz * cxz, over = 1 / det;
+    const Lanes x = (cxx * rx + cxy * ry + cxz * rz) * over, y = (cxy * rx + cyy * ry + cyz * rz) * over,
+                z = (cxz * rx + cyz * ry + czz * rz) * over;
+    const Lanes wx = x - mx, wy = y - my, wz = z - mz;
+    const Lanes edge = dx * dx + dy * dy + dz * dz;
+    const auto sound = (det > 0) & (wx * wx + wy * wy + wz * wz <= kReach * kReach * edge);
+    const Lanes e = (xx * x + xy * y + xz * z) * x + (xy * x + yy * y + yz * z) * y + (xz * x + yz * y + zz * z) * z +
+                    2 * (bx * x + by * y + bz * z) + c;
+    *cost = (e > 0 ? e : Lanes{}) + kShortEdge * trace * edge;
+    return (sound[0] & 1) | (sound[1] & 2) | (sound[2] & 4) | (sound[3] & 8);
+  }
+
   struct Group {
     int32_t wedge;  // the one that stays
     int first;      // row of slopes_

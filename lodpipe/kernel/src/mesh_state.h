@@ -11,7 +11,16 @@
 
 namespace lodpipe {
 
-enum : uint8_t { kDirty = 1, kRetry = 2, kDead = 4, kLocked = 8, kMoved = 16, kSeveralWedges = 32, kVanish = 64 };
+enum : uint8_t {
+  kDirty = 1,    // something near it changed: evaluate
+  kRetry = 2,    // its best collapse was refused: evaluate the next best
+  kDead = 4,
+  kLocked = 8,
+  kMoved = 16,   // lies where no input vertex was
+  kSeveralWedges = 32,
+  kVanish = 64,  // its candidate is to take out the whole component
+  kIrregular = 128,  // its faces do not form closed, consistently turning fans, or it has links
+};
 
 struct Vertex {  // one cache line
   Vec3 p;

@@ -10,6 +10,7 @@ namespace lodpipe {
 namespace {
 
 constexpr int kGrain = 2048;
+constexpr size_t kSmallFan = 32;
 
 void fit_unit_box(const Input& in, State& s) {
   double lo[3], hi[3];
@@ -125,7 +126,10 @@ class FirstQuadrics {
     int32_t wedge = kNone;
     for (int32_t c = a.head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)]) {
       const Face& f = s_.faces[face_of(c)];
-      if (f.link()) continue;
+      if (f.link()) {
+        a.flags |= kIrregular;
+        continue;
+      }
       const int k = slot_of(c);
       if (wedge != kNone && wedge != f.w[k]) a.flags |= kSeveralWedges;
       wedge = f.w[k];
@@ -147,16 +151,7 @@ class FirstQuadrics {
       a.q.add_plane(p.normal, 0, w);
       if (s_.columns) add_slopes(a, p, e1, e2, n, twice);
     }
-    edges_.clear();
-    for (int i = 0; i < static_cast<int>(ring_.size()); ++i) {
-      edges_.push_back({ring_[i].next, i});
-      edges_.push_back({ring_[i].previous, i});
-    }
-    std::sort(edges_.begin(), edges_.end());
-    for (size_t i = 0, j; i < edges_.size(); i = j) {
-      for (j = i + 1; j < edges_.size() && edges_[j].first == edges_[i].first;) ++j;
-      constrain(a, i, j);
-    }
+    if (!closed_fans(a)) constrain_irregular(a);
     const int source = s_.vertex_source[v];
     if (in_.importance) weigh(a, in_.importance[source]);
     if (in_.locked && in_.locked[source]) a.flags |= kLocked;
@@ -186,32 +181,64 @@ class FirstQuadrics {
     }
   }
 
-  // Planes through the edge, perpendicular to its faces, where the surface or its attributes are not continuous
-  // (Garland & Heckbert 1997, section 6). edges_[begin, end) are the faces that share the edge.
-  void constrain(Vertex& a, size_t begin, size_t end) {
-    const int32_t other = edges_[begin].first;
-    float weight = 0;
-    if (end - begin == 1) {
-      weight = options_.boundary_weight;
-    } else if (end - begin > 2) {
-      weight = options_.seam_weight;
-    } else {
-      const Spoke &p = ring_[edges_[begin].second], &q = ring_[edges_[begin + 1].second];
-      if (p.wedge != q.wedge || wedge_at(p, other) != wedge_at(q, other)) {
-        weight = options_.seam_weight;
-      } else if (dot(p.normal, q.normal) < options_.crease_cos) {
-        weight = options_.crease_weight;
+  // Regular: each edge round the vertex leaves one face and enters one other. Then it is held where it is a seam.
+  bool closed_fans(Vertex& a) {
+    const size_t count = ring_.size();
+    if (count > kSmallFan) return false;
+    uint8_t match[kSmallFan];
+    for (size_t i = 0; i < count; ++i) {
+      int found = 0, same = 0;
+      for (size_t j = 0; j < count; ++j) {
+        const bool hit = ring_[j].previous == ring_[i].next;
+        found += hit;
+        same += ring_[j].next == ring_[i].next;
+        if (hit) match[i] = static_cast<uint8_t>(j);
       }
+      if (found != 1 || same != 1) return false;
     }
-    if (!(weight > 0)) return;
-    const Vec3 e = s_.vertices[other].p - a.p;
-    const float size = options_.weighting == Weighting::uniform ? 1.0f : dot(e, e);
-    for (size_t i = begin; i < end; ++i) {
-      const Spoke& p = ring_[edges_[i].second];
-      if (p.area > 0) a.q.add_plane(normalized(cross(e, p.normal)), 0, weight * size);
+    for (size_t i = 0; i < count; ++i) {
+      const Spoke &p = ring_[i], &q = ring_[match[i]];
+      const float weight = discontinuity(p, q, p.next);
+      if (!(weight > 0)) continue;
+      hold(a, p, p.next, weight);
+      hold(a, q, p.next, weight);
+    }
+    return true;
+  }
+
+  void constrain_irregular(Vertex& a) {
+    a.flags |= kIrregular;
+    edges_.clear();
+    for (int i = 0; i < static_cast<int>(ring_.size()); ++i) {
+      edges_.push_back({ring_[i].next, i});
+      edges_.push_back({ring_[i].previous, i});
+    }
+    std::sort(edges_.begin(), edges_.end());
+    for (size_t i = 0, j; i < edges_.size(); i = j) {
+      for (j = i + 1; j < edges_.size() && edges_[j].first == edges_[i].first;) ++j;
+      const int32_t other = edges_[i].first;
+      float weight = options_.seam_weight;
+      if (j - i == 1) weight = options_.boundary_weight;
+      if (j - i == 2) weight = discontinuity(ring_[edges_[i].second], ring_[edges_[i + 1].second], other);
+      if (weight > 0)
+        for (size_t k = i; k < j; ++k) hold(a, ring_[edges_[k].second], other, weight);
     }
   }
+
+  // Weight of the edge to `other`, between the faces of p and q.
+  float discontinuity(const Spoke& p, const Spoke& q, int32_t other) const {
+    if (p.wedge != q.wedge || wedge_at(p, other) != wedge_at(q, other)) return options_.seam_weight;
+    return dot(p.normal, q.normal) < options_.crease_cos ? options_.crease_weight : 0;
+  }
   static int32_t wedge_at(const Spoke& p, int32_t vertex) { return p.next == vertex ? p.next_wedge : p.previous_wedge; }
+
+  // A plane through the edge, perpendicular to the face (Garland & Heckbert 1997, section 6).
+  void hold(Vertex& a, const Spoke& p, int32_t other, float weight) {
+    if (!(p.area > 0)) return;
+    const Vec3 e = s_.vertices[other].p - a.p;
+    const float size = options_.weighting == Weighting::uniform ? 1.0f : dot(e, e);
+    a.q.add_plane(normalized(cross(e, p.normal)), 0, weight * size);
+  }
 
   void weigh(Vertex& a, float importance) {
     a.q *= importance;

@@ -62,19 +62,14 @@ struct Quadric {
   bool minimise(float damping, Vec3 toward, Vec3* y) const {
     const float a = xx + damping, d = yy + damping, f = zz + damping;
     const float rx = damping * toward.x - bx, ry = damping * toward.y - by, rz = damping * toward.z - bz;
-    // LDLᵀ
-    if (!(a > 0)) return false;
-    const float l1 = xy / a, l2 = xz / a;
-    const float d2 = d - l1 * xy, e2 = yz - l1 * xz;
-    if (!(d2 > 0)) return false;
-    const float l3 = e2 / d2;
-    const float d3 = f - l2 * xz - l3 * e2;
-    if (!(d3 > 0)) return false;
-    const float sy = ry - l1 * rx, sz = rz - l2 * rx - l3 * sy;
-    y->z = sz / d3;
-    y->y = sy / d2 - l3 * y->z;
-    y->x = rx / a - l1 * y->y - l2 * y->z;
-    return true;
+    // cofactors of the symmetric matrix: one division, and the same instructions in every lane of a vector
+    const float cxx = d * f - yz * yz, cxy = xz * yz - xy * f, cxz = xy * yz - xz * d;
+    const float cyy = a * f - xz * xz, cyz = xy * xz - a * yz, czz = a * d - xy * xy;
+    const float det = a * cxx + xy * cxy + xz * cxz;
+    const float over = 1 / det;
+    *y = {(cxx * rx + cxy * ry + cxz * rz) * over, (cxy * rx + cyy * ry + cyz * rz) * over,
+          (cxz * rx + cyz * ry + czz * rz) * over};
+    return det > 0;
   }
 };
 

@@ -1,0 +1,344 @@
+"""Decimation of meshes and whole assets: one budget over all parts, every level from one pass of the kernel.
+
+The triangles go where the error is largest: all meshes of an asset enter the kernel together, each in the place and
+at the size at which the scene shows it, so that a collapse in a button competes with one in the housing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, overload
+
+import numpy as np
+
+from lodpipe import kernel
+from lodpipe.core.asset import Asset, Lod, Target
+from lodpipe.core.errors import Cancelled, InvalidMesh
+from lodpipe.core.mesh import F32, F64, I32, Mesh
+from lodpipe.geometry.distance import distance_between
+from lodpipe.geometry.flatten import flatten
+from lodpipe.geometry.progressive import rebuild
+from lodpipe.kernel import QuadricOptions
+
+ERROR_SAMPLES = 20_000  # of a measurement while a level is searched for its error
+
+
+def _no_progress(done: float, total: float) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class AttributeWeights:
+    """What attributes are worth against distance, when they steer (`QuadricOptions.attribute_cost`).
+
+    A weight of 1 prices a texture that slips by a length like a surface that is off by that length; a normal or colour
+    that is off by 1 like a surface that is off by the mean edge length of the level asked for.
+    """
+
+    uv: float = 0.1
+    normal: float = 0.05
+    color: float = 0.1
+
+
+@overload
+def decimate(source: Mesh, target: int | float | Target, **settings: Any) -> Mesh: ...
+@overload
+def decimate(source: Asset, target: int | float | Target, **settings: Any) -> Asset: ...
+def decimate(source: Mesh | Asset, target: int | float | Target, **settings: Any) -> Mesh | Asset:
+    """Simplify a mesh, or all meshes of an asset, to one target.
+
+    target    a number of triangles (int), a ratio (float, 0 < ratio ≤ 1), or a `Target`
+    settings  fields of `QuadricOptions`, and `weights` (AttributeWeights), `threads` (0: all cores)
+
+    The result has at most so many triangles; fewer collapses than asked for are possible where guards forbid them.
+    Raises InvalidMesh for a target outside its range.
+    """
+    goal = _as_target(target)
+    outside = {name: settings.pop(name) for name in ("weights", "threads") if name in settings}
+    options = QuadricOptions(**settings)
+    if isinstance(source, Mesh):
+        asset = Asset(name=source.name, meshes=(source,))
+        return decimate_asset(asset, [goal], options, **outside)[1].meshes[0]
+    levels = decimate_asset(source, [goal], options, **outside)
+    return replace(source, meshes=levels[1].meshes, lods=())
+
+
+def decimate_asset(
+    asset: Asset,
+    targets: Sequence[Target],
+    options: QuadricOptions | None = None,
+    *,
+    weights: AttributeWeights | None = None,
+    threads: int = 0,
+    progress: Callable[[float, float], None] = _no_progress,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> tuple[Lod, ...]:
+    """All levels of an asset: level 0, the source, and one for each target, in the targets' order.
+
+    Meshes with a `keep_reason` pass as they are; their triangles count against the target. Raises InvalidMesh for a
+    target out of range, Cancelled when `cancelled` says so.
+    """
+    options = options or QuadricOptions()
+    source = Lod(meshes=asset.meshes)
+    joined = _Joined.of(asset)
+    fixed = source.triangles - len(joined.faces)
+    counts = [_count(goal, source.triangles) for goal in targets]
+    wanted = sorted({max(c - fixed, 0) for c in counts if c is not None}, reverse=True)
+    by_error = any(c is None for c in counts)
+    finest = [c for c in counts if c]
+    values, column_weights = joined.columns(options, weights or AttributeWeights(), min(finest, default=1))
+
+    def step(done: int, total: int) -> bool:
+        progress(done, total)
+        return not cancelled()
+
+    result = kernel.decimate(
+        joined.positions,
+        joined.faces,
+        [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted,
+        replace(options, record=options.record or by_error),
+        wedges=joined.wedges,
+        values=values,
+        column_weights=column_weights,
+        importance=joined.importance,
+        threads=threads,
+        progress=step,
+    )
+    if any(level.stop == "cancelled" for level in result.levels) or cancelled():
+        raise Cancelled("cancelled")
+    made = {level.target: level for level in result.levels}
+    lods = [source]
+    for goal, count in zip(targets, counts, strict=True):
+        if count is None:
+            lods.append(joined.search_error(asset, goal, result))
+            continue
+        level = made[max(count - fixed, 0)]
+        reached = len(level.faces) + fixed <= count
+        reason = "target" if reached else "kept meshes" if level.stop == "triangles" else level.stop
+        lods.append(joined.lod(asset, level, goal, reason))
+    return tuple(lods)
+
+
+def _as_target(target: int | float | Target) -> Target:
+    if isinstance(target, Target):
+        return target
+    if isinstance(target, bool) or not isinstance(target, (int, float, np.integer, np.floating)):
+        raise InvalidMesh(f"a target is a number of triangles, a ratio or a Target (got {target!r})")
+    return Target(triangles=int(target)) if isinstance(target, (int, np.integer)) else Target(ratio=float(target))
+
+
+def _count(goal: Target, triangles: int) -> int | None:
+    """The goal as a number of triangles; None for a goal that is an error."""
+    if goal.triangles is not None:
+        if goal.triangles < 1:
+            raise InvalidMesh(f"a level needs at least 1 triangle (asked for {goal.triangles})")
+        return goal.triangles
+    if goal.ratio is not None:
+        if not 0 < goal.ratio <= 1:
+            raise InvalidMesh(f"a ratio lies above 0 and up to 1 (got {goal.ratio:g})")
+        return max(1, round(goal.ratio * triangles))
+    if goal.error is not None and goal.error >= 0:
+        return None
+    raise InvalidMesh("a target needs a ratio, a number of triangles, or an error of 0 % or more")
+
+
+@dataclass(frozen=True, eq=False)
+class _Joined:
+    """The meshes that may be simplified, as one, in world space."""
+
+    used: list[int]  # rows of asset.meshes
+    matrices: list[F64]  # (4, 4) for each
+    positions: F64
+    faces: I32
+    wedges: I32
+    importance: F32 | None
+    names: list[str]  # of the attributes
+    widths: list[int]
+    values: F32  # (W, K), unscaled
+    vertex_start: list[int]
+    face_start: list[int]
+
+    @staticmethod
+    def of(asset: Asset) -> _Joined:
+        used = [i for i, m in enumerate(asset.meshes) if not m.keep_reason and len(m.faces)]
+        places: dict[int, list[F64]] = {}
+        for index, matrix in asset.instances():
+            places.setdefault(index, []).append(matrix)
+        matrices = [_largest(places.get(i, [])) for i in used]
+        names = list(dict.fromkeys(name for i in used for name in asset.meshes[i].attributes))
+        widths = [max(_width(asset.meshes[i], name) for i in used) for name in names]
+        positions, faces, wedges, values, importance = [], [], [], [], []
+        vertices = corners = 0
+        vertex_start, face_start = [0], [0]
+        for i, matrix in zip(used, matrices, strict=True):
+            mesh = asset.meshes[i]
+            positions.append(mesh.positions @ matrix[:3, :3].T + matrix[:3, 3])
+            faces.append(mesh.faces + np.int32(vertices))
+            own, rows = _wedges(mesh)
+            wedges.append(own + np.int32(corners))
+            values.append(_attribute_table(mesh, names, widths, rows))
+            importance.append(np.full(len(mesh.positions), max(len(places.get(i, [])), 1), np.float32))
+            vertices += len(mesh.positions)
+            corners += rows
+            vertex_start.append(vertices)
+            face_start.append(face_start[-1] + len(mesh.faces))
+        weight = _join(importance, 0, np.float32)
+        return _Joined(
+            used,
+            matrices,
+            _join(positions, 3, np.float64),
+            _join(faces, 3, np.int32),
+            _join(wedges, 3, np.int32),
+            weight if weight.size and weight.max() > 1 else None,
+            names,
+            widths,
+            _join(values, sum(widths), np.float32),
+            vertex_start,
+            face_start,
+        )
+
+    def columns(self, options: QuadricOptions, weights: AttributeWeights, finest: int) -> tuple[F32, list[float]]:
+        """The attribute table as the kernel takes it, and what a unit of each column is worth."""
+        if not options.attribute_cost or not len(self.faces):
+            return self.values, [0.0] * self.values.shape[1]
+        corners = self.positions[self.faces]
+        area = float(
+            np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+        )
+        edge = float(np.sqrt(area / 2 / finest))
+        out: list[float] = []
+        start = 0
+        for name, width in zip(self.names, self.widths, strict=True):
+            table = self.values[:, start : start + width]
+            start += width
+            worth = 0.0
+            if name == "NORMAL":
+                worth = weights.normal * edge
+            elif name == "COLOR_0":
+                worth = weights.color * edge
+            elif name.startswith("TEXCOORD_"):
+                uv = table[self.wedges].astype(np.float64)
+                a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+                flat = float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+                worth = weights.uv * float(np.sqrt(area / flat)) if flat > 0 else 0.0
+            out += [worth] * width
+        return self.values, out
+
+    def lod(self, asset: Asset, level: kernel.Level, goal: Target, reason: str) -> Lod:
+        meshes = list(asset.meshes)
+        for number, index in enumerate(self.used):
+            meshes[index] = self._mesh(asset.meshes[index], number, level)
+        span = self.positions.max(axis=0) - self.positions.min(axis=0) if len(self.positions) else np.ones(3)
+        estimate = 100 * level.error / max(float(np.linalg.norm(span)), 1e-300)
+        return Lod(meshes=tuple(meshes), target=goal, stop_reason=reason, estimate=estimate, relaxed=level.relaxed)
+
+    def _mesh(self, source: Mesh, number: int, level: kernel.Level) -> Mesh:
+        """The part of the level that came from one mesh, in that mesh's own space, materials and attributes."""
+        first, last = self.face_start[number], self.face_start[number + 1]
+        mine = (level.face_source >= first) & (level.face_source < last)
+        origin = level.face_source[mine] - first
+        vertices, faces = np.unique(level.faces[mine], return_inverse=True)
+        rows, wedges = np.unique(level.wedges[mine], return_inverse=True)
+        matrix = self.matrices[number]
+        old = level.vertex_source[vertices] - self.vertex_start[number]
+        moved = level.vertex_source[vertices] < 0
+        positions = np.empty((len(vertices), 3))
+        positions[~moved] = source.positions[old[~moved]]
+        if moved.any():
+            back = np.linalg.inv(matrix[:3, :3])
+            positions[moved] = (level.positions[vertices[moved]] - matrix[:3, 3]) @ back.T
+        changed = level.wedge_source[rows] < 0
+        attributes: dict[str, F32] = {}
+        start = 0
+        for name, width in zip(self.names, self.widths, strict=True):
+            if name in source.attributes:
+                table = level.values[rows, start : start + source.attributes[name].shape[1]]
+                attributes[name] = _valid(name, table, changed)
+            start += width
+        return Mesh(
+            positions=positions,
+            faces=faces.reshape(-1, 3).astype(np.int32),
+            wedges=wedges.reshape(-1, 3).astype(np.int32) if attributes else faces.reshape(-1, 3).astype(np.int32),
+            attributes=attributes,
+            face_primitive=source.face_primitive[origin],
+            primitives=source.primitives,
+            name=source.name,
+        )
+
+    def search_error(self, asset: Asset, goal: Target, result: kernel.Decimation) -> Lod:
+        """The coarsest level whose measured distance to the source is within the goal, by bisection of the record."""
+        assert result.record is not None and goal.error is not None  # decimate_asset asked for the record
+        reference = flatten(asset)
+        high, low = len(self.faces), 0
+        best: Lod | None = None
+        while high - low > max(1, high // 100):
+            middle = (high + low) // 2
+            level = rebuild(self.positions, self.faces, self.wedges, self.values, result.record, middle)
+            lod = self.lod(asset, level, goal, "error")
+            soup = flatten(asset, lod.meshes)
+            within = len(soup.faces) > 0 and distance_between(reference, soup, ERROR_SAMPLES).max <= goal.error
+            if within:
+                high, best = min(middle, len(level.faces)), lod
+            else:
+                low = middle
+        return best or Lod(meshes=asset.meshes, target=goal, stop_reason="error")
+
+
+def _largest(matrices: list[F64]) -> F64:
+    """The placement at which a mesh is shown largest; identity for a mesh that is not placed, or has no volume."""
+    sizes = [abs(float(np.linalg.det(m[:3, :3]))) for m in matrices]
+    if not sizes or not max(sizes) > 0 or not np.isfinite(max(sizes)):
+        return np.eye(4)
+    return matrices[int(np.argmax(sizes))]
+
+
+def _width(mesh: Mesh, name: str) -> int:
+    return mesh.attributes[name].shape[1] if name in mesh.attributes else 0
+
+
+def _wedges(mesh: Mesh) -> tuple[I32, int]:
+    """Wedge rows and their number; a mesh without attributes gets one wedge for each position and primitive."""
+    for table in mesh.attributes.values():
+        return mesh.wedges, len(table)
+    if len(mesh.primitives) == 1:
+        return mesh.faces, len(mesh.positions)
+    count = len(mesh.positions)
+    keys = mesh.faces.astype(np.int64) + mesh.face_primitive[:, None].astype(np.int64) * count
+    _, rows = np.unique(keys, return_inverse=True)
+    return rows.reshape(-1, 3).astype(np.int32), int(rows.max(initial=-1)) + 1
+
+
+def _attribute_table(mesh: Mesh, names: list[str], widths: list[int], rows: int) -> F32:
+    if list(mesh.attributes) == names and len(names) == 1:
+        return mesh.attributes[names[0]]
+    table = np.zeros((rows, sum(widths)), np.float32)
+    start = 0
+    for name, width in zip(names, widths, strict=True):
+        if name in mesh.attributes:
+            values = mesh.attributes[name]
+            table[:, start : start + values.shape[1]] = values
+        start += width
+    return table
+
+
+def _join(tables: list[Any], columns: int, dtype: Any) -> Any:
+    if len(tables) == 1:
+        return np.ascontiguousarray(tables[0], dtype)
+    if not tables:
+        return np.empty((0, columns) if columns else 0, dtype)
+    return np.ascontiguousarray(np.concatenate(tables), dtype)
+
+
+def _valid(name: str, values: F32, changed: Any) -> F32:
+    """New values as the attribute must be: unit normals and tangents, colours within 0…1."""
+    out = values.copy()
+    if name in ("NORMAL", "TANGENT"):
+        axes = out[changed, :3]
+        length = np.linalg.norm(axes, axis=1, keepdims=True)
+        out[changed, :3] = np.where(length > 1e-12, axes / np.maximum(length, 1e-12), [0, 0, 1])
+        if name == "TANGENT":
+            out[changed, 3] = np.where(out[changed, 3] < 0, -1, 1)
+    elif name.startswith("COLOR_"):
+        out[changed] = np.clip(out[changed], 0, 1)
+    return out
