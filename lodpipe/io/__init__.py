@@ -1,0 +1,8 @@
+"""Files <-> Asset: one way in (`load`), and two out (`save` for a level, `save_combined` for all in one file)."""
+
+from lodpipe.io.images import decode_image
+from lodpipe.io.limits import Limits
+from lodpipe.io.reading import FORMATS, is_asset, load
+from lodpipe.io.writing import save, save_combined
+
+__all__ = ["FORMATS", "Limits", "decode_image", "is_asset", "load", "save", "save_combined"]
