@@ -51,7 +51,7 @@ class QuadricOptions:
     flip_degrees: float = 78.0
     """Largest turn of a face's normal in one collapse, 0…90."""
     round_share: float = 1 / 16
-    """Share of the live vertices that one round considers, 0…1: smaller is nearer to the best order, larger is faster."""
+    """Share of the live vertices that a round considers, 0…1: smaller is nearer to the best order, larger is faster."""
     max_error: float | None = None
     """Stop where the estimated deviation would pass this, object units."""
     record: bool = False
@@ -100,6 +100,16 @@ class Record:
 
 
 @dataclass(frozen=True, eq=False)
+class EdgeCosts:
+    """edges (E, 2) int32, rows of the positions; cost (E,) float32 ≥ 0, of the mesh scaled to a bounding box of unit
+    diagonal, infinite where the collapse is not possible; positions (E, 3) float64 of the merged vertex."""
+
+    edges: I32
+    cost: F32
+    positions: F64
+
+
+@dataclass(frozen=True, eq=False)
 class Decimation:
     """Levels in the order of the targets, and the record if it was asked for."""
 
@@ -139,11 +149,52 @@ def decimate(
     of the input are left out. Raises InvalidMesh for arrays that do not fit together.
     """
     options = options or QuadricOptions()
+    goals = [int(t) for t in targets]
+    if any(t < 0 for t in goals) or goals != sorted(goals, reverse=True):
+        raise InvalidMesh(f"targets must be descending and not negative (got {goals})")
+    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
+    given = _native.decimate(*arrays, goals, progress or (lambda done, total: True), _options(options, threads))
+    levels = [_level(data) for data in given["levels"]]
+    record = _record(given["record"], arrays[3].shape[1]) if options.record else None
+    return Decimation(levels, record)
+
+
+def edge_costs(
+    positions: F64,
+    faces: I32,
+    options: QuadricOptions | None = None,
+    *,
+    wedges: I32 | None = None,
+    values: F32 | None = None,
+    column_weights: Sequence[float] = (),
+    importance: F32 | None = None,
+    locked: NDArray[np.bool_] | None = None,
+) -> EdgeCosts:
+    """What collapsing each edge of the mesh as it is would cost, and where the merged vertex would lie.
+
+    Parameters as for `decimate`. Raises InvalidMesh for arrays that do not fit together.
+    """
+    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
+    return EdgeCosts(**_native.edge_costs(*arrays, _options(options or QuadricOptions(), 1)))
+
+
+def _checked(
+    positions: F64,
+    faces: I32,
+    wedges: I32 | None,
+    values: F32 | None,
+    column_weights: Sequence[float],
+    importance: F32 | None,
+    locked: NDArray[np.bool_] | None,
+) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
+    """The arrays as the native functions take them."""
     positions = _table(positions, np.float64, 3, "positions")
     faces = _table(faces, np.int32, 3, "faces")
     wedges = faces if wedges is None else _table(wedges, np.int32, 3, "wedges")
+    if wedges.shape != faces.shape:
+        raise InvalidMesh(f"there are {len(faces)} faces and {len(wedges)} rows of wedges")
     if values is None:
-        values = np.empty((len(positions), 0), np.float32)
+        values = np.empty((int(wedges.max(initial=-1)) + 1, 0), np.float32)
     values = _table(values, np.float32, None, "values")
     weights = np.asarray(column_weights, np.float32)
     if weights.shape != (values.shape[1],):
@@ -154,20 +205,11 @@ def decimate(
         raise InvalidMesh("positions are not finite")
     if not np.isfinite(values).all():
         raise InvalidMesh("attribute values are not finite")
-    if wedges.shape != faces.shape:
-        raise InvalidMesh(f"there are {len(faces)} faces and {len(wedges)} rows of wedges")
     if len(faces) >= 2**29:
         raise InvalidMesh("more than 2^29 triangles in one mesh")
     _indices(faces, len(positions), "faces")
-    if values.shape[1]:
-        _indices(wedges, len(values), "wedges")
-    elif wedges is not faces:
-        _indices(wedges, int(wedges.max(initial=-1)) + 1, "wedges")
-        values = np.empty((int(wedges.max(initial=-1)) + 1, 0), np.float32)
-    goals = [int(t) for t in targets]
-    if any(t < 0 for t in goals) or goals != sorted(goals, reverse=True):
-        raise InvalidMesh(f"targets must be descending and not negative (got {goals})")
-    given = _native.decimate(
+    _indices(wedges, len(values), "wedges")
+    return (
         positions,
         faces,
         wedges,
@@ -175,27 +217,30 @@ def decimate(
         weights,
         _column(importance, np.float32, len(positions), "importance"),
         _column(locked, np.uint8, len(positions), "locked"),
-        goals,
-        progress or (lambda done, total: True),
-        placement=PLACEMENTS.index(options.placement),
-        weighting=WEIGHTINGS.index(options.weighting),
-        boundary_weight=options.boundary_weight,
-        seam_weight=options.seam_weight,
-        crease_weight=options.crease_weight,
-        crease_cos=float(np.cos(np.radians(options.crease_degrees))),
-        pair_distance=options.pair_distance,
-        attribute_cost=options.attribute_cost,
-        keep_topology=options.keep_topology,
-        may_relax=options.may_relax,
-        flip_cos=float(np.cos(np.radians(options.flip_degrees))),
-        round_share=options.round_share,
-        max_error=-1.0 if options.max_error is None else options.max_error,
-        threads=threads or os.cpu_count() or 1,
-        record=options.record,
     )
-    levels = [_level(data) for data in given["levels"]]
-    record = _record(given["record"], values.shape[1]) if options.record else None
-    return Decimation(levels, record)
+
+
+def _options(options: QuadricOptions, threads: int) -> _native.Options:
+    native = _native.Options()
+    native.placement = PLACEMENTS.index(options.placement)
+    native.weighting = WEIGHTINGS.index(options.weighting)
+    native.crease_cos = float(np.cos(np.radians(options.crease_degrees)))
+    native.flip_cos = float(np.cos(np.radians(options.flip_degrees)))
+    native.max_error = -1.0 if options.max_error is None else options.max_error
+    native.threads = threads or os.cpu_count() or 1
+    for name in (
+        "boundary_weight",
+        "seam_weight",
+        "crease_weight",
+        "pair_distance",
+        "attribute_cost",
+        "keep_topology",
+        "may_relax",
+        "round_share",
+        "record",
+    ):
+        setattr(native, name, getattr(options, name))
+    return native
 
 
 def _level(data: dict[str, Any]) -> Level:

@@ -58,38 +58,33 @@ nb::dict record(lodpipe::Record& r, size_t columns) {
   return d;
 }
 
+lodpipe::Input input(const Table<double>& positions, const Table<int32_t>& faces, const Table<int32_t>& wedges,
+                     const Table<float>& values, const Column<float>& column_weights,
+                     const std::optional<Column<float>>& importance, const std::optional<Column<uint8_t>>& locked) {
+  return {positions.data(),
+          static_cast<int>(positions.shape(0)),
+          faces.data(),
+          wedges.data(),
+          static_cast<int>(faces.shape(0)),
+          values.data(),
+          static_cast<int>(values.shape(0)),
+          static_cast<int>(values.shape(1)),
+          column_weights.data(),
+          importance ? importance->data() : nullptr,
+          locked ? locked->data() : nullptr,
+          {}};
+}
+
 nb::dict decimate(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedges, Table<float> values,
                   Column<float> column_weights, std::optional<Column<float>> importance,
                   std::optional<Column<uint8_t>> locked, std::vector<int64_t> targets,
-                  std::function<bool(int64_t, int64_t)> progress, int placement, int weighting, float boundary_weight,
-                  float seam_weight, float crease_weight, float crease_cos, double pair_distance, bool attribute_cost,
-                  bool keep_topology, bool may_relax, float flip_cos, float round_share, double max_error, int threads,
-                  bool want_record) {
-  lodpipe::Input in{positions.data(),
-                    static_cast<int>(positions.shape(0)),
-                    faces.data(),
-                    wedges.data(),
-                    static_cast<int>(faces.shape(0)),
-                    values.data(),
-                    static_cast<int>(values.shape(0)),
-                    static_cast<int>(values.shape(1)),
-                    column_weights.data(),
-                    importance ? importance->data() : nullptr,
-                    locked ? locked->data() : nullptr,
-                    std::move(targets)};
-  lodpipe::Options o;
-  o.placement = static_cast<lodpipe::Placement>(placement);
-  o.weighting = static_cast<lodpipe::Weighting>(weighting);
-  o.boundary_weight = boundary_weight, o.seam_weight = seam_weight, o.crease_weight = crease_weight;
-  o.crease_cos = crease_cos;
-  o.pair_distance = pair_distance;
-  o.attribute_cost = attribute_cost, o.keep_topology = keep_topology, o.may_relax = may_relax;
-  o.flip_cos = flip_cos, o.round_share = round_share, o.max_error = max_error;
-  o.threads = threads, o.record = want_record;
+                  std::function<bool(int64_t, int64_t)> progress, const lodpipe::Options& options) {
+  lodpipe::Input in = input(positions, faces, wedges, values, column_weights, importance, locked);
+  in.targets = std::move(targets);
   lodpipe::Result result;
   {
     nb::gil_scoped_release release;
-    result = lodpipe::decimate(in, o, [&](int64_t done, int64_t total) {
+    result = lodpipe::decimate(in, options, [&](int64_t done, int64_t total) {
       nb::gil_scoped_acquire acquire;
       return progress(done, total);
     });
@@ -99,16 +94,55 @@ nb::dict decimate(Table<double> positions, Table<int32_t> faces, Table<int32_t> 
   for (lodpipe::Level& l : result.levels) levels.append(level(l, columns));
   nb::dict out;
   out["levels"] = levels;
-  if (want_record) out["record"] = record(result.record, columns);
+  if (options.record) out["record"] = record(result.record, columns);
   return out;
+}
+
+nb::dict edge_costs(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedges, Table<float> values,
+                    Column<float> column_weights, std::optional<Column<float>> importance,
+                    std::optional<Column<uint8_t>> locked, const lodpipe::Options& options) {
+  const lodpipe::Input in = input(positions, faces, wedges, values, column_weights, importance, locked);
+  lodpipe::EdgeCosts costs = lodpipe::edge_costs(in, options);
+  nb::dict out;
+  out["edges"] = give(costs.edges, 2);
+  out["cost"] = give(costs.cost, 0);
+  out["positions"] = give(costs.positions, 3);
+  return out;
+}
+
+template <class Enum>
+auto as_int(Enum lodpipe::Options::*field) {
+  return std::pair([field](const lodpipe::Options& o) { return static_cast<int>(o.*field); },
+                   [field](lodpipe::Options& o, int value) { o.*field = static_cast<Enum>(value); });
 }
 
 }  // namespace
 
 NB_MODULE(_native, m) {
+  using lodpipe::Options;
+  const auto [get_placement, set_placement] = as_int(&Options::placement);
+  const auto [get_weighting, set_weighting] = as_int(&Options::weighting);
+  nb::class_<Options>(m, "Options")
+      .def(nb::init<>())
+      .def_prop_rw("placement", get_placement, set_placement)
+      .def_prop_rw("weighting", get_weighting, set_weighting)
+      .def_rw("boundary_weight", &Options::boundary_weight)
+      .def_rw("seam_weight", &Options::seam_weight)
+      .def_rw("crease_weight", &Options::crease_weight)
+      .def_rw("crease_cos", &Options::crease_cos)
+      .def_rw("pair_distance", &Options::pair_distance)
+      .def_rw("attribute_cost", &Options::attribute_cost)
+      .def_rw("keep_topology", &Options::keep_topology)
+      .def_rw("may_relax", &Options::may_relax)
+      .def_rw("flip_cos", &Options::flip_cos)
+      .def_rw("round_share", &Options::round_share)
+      .def_rw("max_error", &Options::max_error)
+      .def_rw("threads", &Options::threads)
+      .def_rw("record", &Options::record);
   m.def("decimate", &decimate, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(),
         "values"_a.noconvert(), "column_weights"_a.noconvert(), "importance"_a.noconvert().none(),
-        "locked"_a.noconvert().none(), "targets"_a, "progress"_a, nb::kw_only(), "placement"_a, "weighting"_a,
-        "boundary_weight"_a, "seam_weight"_a, "crease_weight"_a, "crease_cos"_a, "pair_distance"_a, "attribute_cost"_a,
-        "keep_topology"_a, "may_relax"_a, "flip_cos"_a, "round_share"_a, "max_error"_a, "threads"_a, "record"_a);
+        "locked"_a.noconvert().none(), "targets"_a, "progress"_a, "options"_a);
+  m.def("edge_costs", &edge_costs, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(),
+        "values"_a.noconvert(), "column_weights"_a.noconvert(), "importance"_a.noconvert().none(),
+        "locked"_a.noconvert().none(), "options"_a);
 }

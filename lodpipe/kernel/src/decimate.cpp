@@ -612,6 +612,34 @@ class Decimator {
 
 }  // namespace
 
+EdgeCosts edge_costs(const Input& input, const Options& options) {
+  Pool pool(1);
+  State s;
+  prepare(input, options, pool, s);
+  EdgeCosts out;
+  Merge merge;
+  std::vector<int32_t> others;
+  for (int32_t v = 0; v < static_cast<int32_t>(s.vertices.size()); ++v) {
+    others.clear();
+    for (int32_t c = s.vertices[v].head; c != kNone; c = s.faces[face_of(c)].next[slot_of(c)])
+      for (const int32_t u : s.faces[face_of(c)].v)
+        if (u > v) others.push_back(u);
+    std::sort(others.begin(), others.end());
+    others.erase(std::unique(others.begin(), others.end()), others.end());
+    for (const int32_t u : others) {
+      Vec3 y;
+      out.cost.push_back(merge.place(s, options, v, u, &y));
+      out.edges.push_back(s.vertex_source[v]);
+      out.edges.push_back(s.vertex_source[u]);
+      const Vec3 x = s.vertices[merge.kept == u ? u : v].p + y;
+      out.positions.push_back(s.center[0] + x.x / s.scale);
+      out.positions.push_back(s.center[1] + x.y / s.scale);
+      out.positions.push_back(s.center[2] + x.z / s.scale);
+    }
+  }
+  return out;
+}
+
 Result decimate(const Input& input, const Options& options, const std::function<bool(int64_t, int64_t)>& progress) {
   return Decimator(input, options, progress).run();
 }

@@ -70,6 +70,14 @@ struct Result {
   Record record;
 };
 
+// What each edge (or link) of the input would cost to begin with, for looking into and for comparison with other code.
+struct EdgeCosts {
+  std::vector<int32_t> edges;     // × 2, rows of the input
+  std::vector<float> cost;        // of the mesh scaled to a bounding box of unit diagonal
+  std::vector<double> positions;  // × 3, where the merged vertex would be
+};
+EdgeCosts edge_costs(const Input& input, const Options& options);
+
 // `progress(removed, total)` returns false to stop; it is called from the calling thread only.
 Result decimate(const Input& input, const Options& options, const std::function<bool(int64_t, int64_t)>& progress);
 
