@@ -1,0 +1,207 @@
+"""Texture look-up as a GPU does it: transform, wrap, mip levels, trilinear filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodpipe.core.material import TextureRef
+from lodpipe.core.mesh import F32, F64
+
+U8 = NDArray[np.uint8]
+
+CLAMP, MIRROR, REPEAT = 33071, 33648, 10497
+NEAREST = 9728
+"""glTF's (OpenGL's) numbers of wrap and filter modes."""
+
+STRIP = 256
+"""Rows that are turned into floats at once, which bounds the memory that building mip levels takes."""
+
+
+def to_linear(srgb: F64 | F32) -> F64:
+    """Linear light 0…1 from sRGB values 0…1 (IEC 61966-2-1)."""
+    value = np.asarray(srgb, np.float64)
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def to_srgb(linear: F64 | F32) -> F32:
+    """sRGB values 0…1 from linear light, clipped to 0…1 (IEC 61966-2-1)."""
+    value = np.clip(np.asarray(linear, np.float32), 0.0, 1.0)
+    curve: F32 = np.float32(1.055) * value ** np.float32(1 / 2.4) - np.float32(0.055)
+    return np.where(value <= 0.0031308, value * np.float32(12.92), curve)
+
+
+_LINEAR = to_linear(np.arange(256) / 255).astype(np.float32)
+_PLAIN = (np.arange(256) / 255).astype(np.float32)
+
+
+def uv_matrix(ref: TextureRef) -> F64:
+    """The (2, 3) matrix of KHR_texture_transform: offset · rotation · scale, applied to (u, v, 1).
+
+    v points down, so that a counter-clockwise turn takes u towards −v. Khronos' sample viewer and three.js read the
+    extension so; the GLSL in its text turns the other way than its words.
+    """
+    c, s = np.cos(ref.rotation), np.sin(ref.rotation)
+    (sx, sy), (ox, oy) = ref.scale, ref.offset
+    return np.array([[c * sx, s * sy, ox], [-s * sx, c * sy, oy]])
+
+
+class Texture:
+    """An image with its mip levels.
+
+    pixels  (H, W, C) uint8, C = 1 (grey), 2 (grey, alpha), 3 or 4
+    srgb    whether grey and RGB are sRGB-encoded (base colour, emission) or plain numbers
+    """
+
+    def __init__(self, pixels: U8, srgb: bool = True) -> None:
+        self._table = _LINEAR if srgb else _PLAIN
+        self._srgb = srgb
+        levels = [_rgba(pixels)]
+        smaller = self._halved(levels[0])
+        while smaller is not None:
+            levels.append(self._to_bytes(smaller))
+            smaller = self._halved(smaller)
+        self.height, self.width = levels[0].shape[:2]
+        self._heights = np.array([len(level) for level in levels], np.int32)
+        self._widths = np.array([level.shape[1] for level in levels], np.int32)
+        self._starts = np.cumsum([0, *(level.shape[0] * level.shape[1] for level in levels[:-1])])
+        self._texels = np.concatenate([level.reshape(-1, 4) for level in levels]).view(np.uint32)[:, 0]
+
+    def sample(
+        self, uv: F32, footprint: F32 | None = None, wrap: tuple[int, int] = (REPEAT, REPEAT), nearest: bool = False
+    ) -> F32:
+        """Linear RGBA (N, 4) float32 at `uv` (N, 2), v = 0 at the top.
+
+        `footprint` (N,) is the size of a pixel in texels of the full image: it chooses the mip level; None or 1 and
+        less is the full image. `wrap` holds the modes along u and v. `nearest`: no blending between texels.
+        """
+        uv = np.nan_to_num(uv, posinf=0.0, neginf=0.0)
+        if footprint is None:
+            return self._bilinear(np.zeros(len(uv), np.int64), uv, wrap, nearest)
+        level = np.log2(np.clip(np.nan_to_num(footprint), 1.0, None))
+        level = np.minimum(level, np.float32(len(self._heights) - 1))
+        lower = np.floor(level).astype(np.int64)
+        part = (level - lower).astype(np.float32)
+        result = self._bilinear(lower, uv, wrap, nearest)
+        between = np.flatnonzero(part)
+        coarse = self._bilinear(lower[between] + 1, uv[between], wrap, nearest)
+        result[between] += (coarse - result[between]) * part[between, None]
+        return result
+
+    def _bilinear(self, level: NDArray[np.int64], uv: F32, wrap: tuple[int, int], nearest: bool) -> F32:
+        width, height, start = self._widths[level], self._heights[level], self._starts[level]
+        x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
+        if nearest:
+            x, y = np.floor(x + 0.5), np.floor(y + 0.5)
+        left, top = np.floor(x), np.floor(y)
+        fx, fy = ((x - left)[:, None].astype(np.float32), (y - top)[:, None].astype(np.float32))
+        left, top = left.astype(np.int64), top.astype(np.int64)
+        x0, x1 = _wrapped(left, width, wrap[0]), _wrapped(left + 1, width, wrap[0])
+        y0, y1 = start + _wrapped(top, height, wrap[1]) * width, start + _wrapped(top + 1, height, wrap[1]) * width
+        upper = self._linear(y0 + x0) * (1 - fx) + self._linear(y0 + x1) * fx
+        lower = self._linear(y1 + x0) * (1 - fx) + self._linear(y1 + x1) * fx
+        result: F32 = upper * (1 - fy) + lower * fy
+        return result
+
+    def _linear(self, index: NDArray[np.int64]) -> F32:
+        """Linear RGBA (N, 4) of texels by their place in all levels."""
+        texels = self._texels[index].view(np.uint8).reshape(-1, 4)
+        values = self._table[texels]
+        values[:, 3] = _PLAIN[texels[:, 3]]
+        return values
+
+    def _halved(self, image: U8 | F32) -> F32 | None:
+        """Half as many rows and columns (rounded down), as linear floats; None for a single texel."""
+        height, width = image.shape[:2]
+        if height == width == 1:
+            return None
+        strips = []
+        for top in range(0, max(height // 2, 1), STRIP):
+            values = self._linear_image(image[2 * top : 2 * (top + STRIP) + 1])
+            count = min(STRIP, max(height // 2, 1) - top)
+            strips.append(_halve(_halve(values, 0, height, top, count), 1, width, 0, max(width // 2, 1)))
+        return np.concatenate(strips)
+
+    def _linear_image(self, image: U8 | F32) -> F32:
+        """Linear floats of texels in either form."""
+        if image.dtype == np.float32:
+            return image.astype(np.float32, copy=False)
+        texels = image.astype(np.uint8, copy=False)
+        values = self._table[texels]
+        values[..., 3] = _PLAIN[texels[..., 3]]
+        return values
+
+    def _to_bytes(self, image: F32) -> U8:
+        colour = to_srgb(image[..., :3]) if self._srgb else image[..., :3]
+        texels: U8 = np.rint(np.concatenate([colour, image[..., 3:]], axis=2) * 255).astype(np.uint8)
+        return texels
+
+
+class Textures(Mapping[int, Texture]):
+    """Textures by image index, made from decoded pixels when first used, and shared by all levels of an asset."""
+
+    def __init__(self, pixels: Mapping[int, U8] | None = None) -> None:
+        self._pixels = dict(pixels or {})
+        self._made: dict[int, Texture] = {}
+
+    def __getitem__(self, image: int) -> Texture:
+        if image not in self._made:
+            self._made[image] = Texture(self._pixels[image])
+        return self._made[image]
+
+    def __contains__(self, image: object) -> bool:
+        return image in self._pixels
+
+    def __iter__(self) -> Any:
+        return iter(self._pixels)
+
+    def __len__(self) -> int:
+        return len(self._pixels)
+
+
+def _rgba(pixels: U8) -> U8:
+    if pixels.ndim != 3 or pixels.dtype != np.uint8 or not 1 <= pixels.shape[2] <= 4 or 0 in pixels.shape:
+        raise ValueError(f"pixels must be (height, width, 1…4) uint8 (got {pixels.shape} {pixels.dtype})")
+    channels = pixels.shape[2]
+    rgba = np.full((*pixels.shape[:2], 4), 255, np.uint8)
+    rgba[..., :3] = pixels[..., :3] if channels >= 3 else pixels[..., :1]
+    if channels in (2, 4):
+        rgba[..., 3] = pixels[..., -1]
+    return rgba
+
+
+def _halve(values: F32, axis: int, size: int, start: int, count: int) -> F32:
+    """Rows (or columns) `start` … `start + count` of the next mip level of an image that is `size` long.
+
+    `values` begins at row 2·start. An odd size takes three weighted rows for each, so that nothing shifts (Guthe &
+    Heckbert 2005, "Non-power-of-two mipmap creation").
+    """
+    if size == 1:
+        return values
+    at = np.arange(count) * 2
+
+    def row(offset: int) -> F32:
+        return np.take(values, at + offset, axis=axis)
+
+    if size % 2 == 0:
+        return (row(0) + row(1)) * np.float32(0.5)
+    half = size // 2
+    shape = [1, 1, 1]
+    shape[axis] = -1
+    i = (np.arange(start, start + count, dtype=np.float32)).reshape(shape)
+    result: F32 = (row(0) * (half - i) + row(1) * np.float32(half) + row(2) * (i + 1)) / np.float32(size)
+    return result
+
+
+def _wrapped(index: NDArray[np.int64], size: NDArray[np.int32], mode: int) -> NDArray[np.int64]:
+    """Texel numbers in 0 … size − 1 for any integer."""
+    wrapped: NDArray[np.int64] = index % size
+    if mode == CLAMP:
+        wrapped = np.clip(index, 0, size - 1)
+    elif mode == MIRROR:
+        folded = index % (2 * size)
+        wrapped = np.minimum(folded, 2 * size - 1 - folded)
+    return wrapped
