@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from lodpipe import io
-from lodpipe.core.errors import AssetError, LodpipeError
+from lodpipe.core.errors import AssetError, LodpipeError, OutputError
 
 STATE = ".lodpipe"
 """The folder in an output folder that marks it as one: temporary folders, the daemon's state."""
@@ -54,6 +54,7 @@ def find_assets(inputs: Iterable[str | os.PathLike[str]], output: Path) -> tuple
 def _expand(given: str, output: Path) -> list[tuple[Path, str]]:
     path = Path(given)
     if path.is_dir():
+        _check_apart(path, output, given)
         found = [(file, _relative(file.parent, path)) for file in _walk(path, output)]
         if not found:
             raise AssetError("has no assets in it", place=given, advice=f"known formats: {', '.join(io.FORMATS)}")
@@ -62,15 +63,22 @@ def _expand(given: str, output: Path) -> list[tuple[Path, str]]:
         return [(path, "")]
     if glob.has_magic(given):
         root = _fixed_part(path)
-        files = sorted(Path(match) for match in glob.glob(given, recursive=True))  # noqa: PTH207 it takes whole paths
-        found = []
-        for file in files:
-            inside = _walk(file, output) if file.is_dir() and path.name != "**" else [file]
-            found += [(f, _relative(f.parent, root)) for f in inside if _is_candidate(f) and not _within(f, output)]
+        _check_apart(root, output, given)
+        matches = sorted(Path(match) for match in glob.glob(given, recursive=True))  # noqa: PTH207 it takes whole paths
+        files = dict.fromkeys(
+            file for match in matches for file in (_walk(match, output) if match.is_dir() else [match])
+        )
+        found = [(file, _relative(file.parent, root)) for file in files if _is_free(file, root, output)]
         if not found:
             raise AssetError("matches no asset", place=given, advice=f"known formats: {', '.join(io.FORMATS)}")
         return found
     raise AssetError("there is no such file or folder", place=given, advice="check the path; quote globs")
+
+
+def _check_apart(root: Path, output: Path, given: str) -> None:
+    """Results must not become inputs of the next run."""
+    if root.resolve().is_relative_to(output):
+        raise OutputError(f"lies in the output folder {output}", place=given, advice="choose another output folder")
 
 
 def _walk(top: Path, output: Path) -> Iterator[Path]:
@@ -88,8 +96,14 @@ def _is_candidate(path: Path) -> bool:
     return not path.name.startswith((".", "~$")) and path.is_file() and io.is_asset(path)
 
 
-def _within(path: Path, folder: Path) -> bool:
-    return path.resolve().is_relative_to(folder)
+def _is_free(path: Path, root: Path, output: Path) -> bool:
+    """Whether a glob's match is an asset outside of `output` and of every other output folder below `root`."""
+    folders = path.relative_to(root).parents[:-1]
+    return (
+        _is_candidate(path)
+        and not path.resolve().is_relative_to(output)  # by a link
+        and not any((root / folder / STATE).is_dir() for folder in folders)
+    )
 
 
 def _fixed_part(pattern: Path) -> Path:
@@ -113,7 +127,7 @@ def _named(wanted: list[tuple[Path, str]]) -> list[Found]:
     number. Taken is also what other assets need as a folder. Formats go in the order of `io.FORMATS`, so that
     ``duck.glb`` keeps its name beside ``duck.obj``.
     """
-    order = list(io.FORMATS)
+    order = [suffix.lstrip(".") for suffix in io.FORMATS]
     rank = {
         index: order.index(_format(path)) if _format(path) in order else len(order)
         for index, (path, _) in enumerate(wanted)

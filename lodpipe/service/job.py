@@ -153,15 +153,18 @@ class Failure:
             error = error.error if isinstance(error.error, MemoryError) else error
         if isinstance(error, MemoryError):
             error = LimitError(**too_big(job.limits.memory_gb))
-            return cls(stage, error.cause, f"{Path(job.path).name}: {stage}", error.advice, "LimitError")
+            return cls(stage, error.cause, f"{job.path}: {stage}", error.advice, "LimitError")
         if isinstance(error, LodpipeError):
-            place = error.place if Path(job.path).name in error.place else f"{Path(job.path).name}: {error.place}"
-            return cls(stage, error.cause, place.removesuffix(": "), error.advice, type(error).__name__)
+            inside = error.place
+            for name in (Path(job.path).name, job.name):  # the path says it, and says it better
+                inside = "" if inside == name else inside.removeprefix(f"{name}: ")
+            place = f"{job.path}: {inside}" if inside else job.path
+            return cls(stage, error.cause, place, error.advice, type(error).__name__)
         inner = error.error if isinstance(error, StageFailed) else error
         folder = Path(job.output) / FAILED / job.place
         cause = f"internal error: {type(inner).__name__}: {inner}"
         advice = BUG_ADVICE.format(folder=folder)
-        return cls(stage, cause, f"{Path(job.path).name}: {stage}", advice, type(inner).__name__, bug=True)
+        return cls(stage, cause, f"{job.path}: {stage}", advice, type(inner).__name__, bug=True)
 
     @property
     def message(self) -> str:

@@ -160,7 +160,7 @@ class _Worker:
         self.process.wait()
 
     def _failure(self, late: bool, code: int) -> Failure:
-        place = f"{Path(self.job.path).name}: {self.stage}"
+        place = f"{self.job.path}: {self.stage}"
         if late:
             told = too_slow(self.job.limits.minutes)
             return Failure(self.stage, told["cause"], place, told["advice"], "LimitError")

@@ -47,7 +47,9 @@ def export(asset: Asset, params: ExportParams, context: Context) -> Asset:
             context.progress(done, total)
     if params.combined:
         path = context.output / f"{asset.name}.glb"
-        written = io.save_combined(asset, path, [level.meshes for level in levels], coverages(levels))
+        written = io.save_combined(
+            asset, path, [level.meshes for level in levels], coverages(levels), warn=context.warn
+        )
         _note(context, -1, written)
         context.progress(total, total)
     return asset
