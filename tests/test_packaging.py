@@ -22,7 +22,10 @@ from test_imports import imports, modules
 REPO = Path(__file__).parent.parent
 PROJECT = tomllib.loads((REPO / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 SHIPPED = ("lodpipe/", "config/", "README.md", "CHANGELOG.md", "LICENSE", "pyproject.toml")
-TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 1\nf 1 2 3\nf 2 4 3\n"
+SIDE = 12  # squares on each side of the model below
+HILL = "".join(f"v {x} {y} {x * y / SIDE}\n" for x in range(SIDE + 1) for y in range(SIDE + 1)) + "".join(
+    f"f {i} {i + SIDE + 1} {i + SIDE + 2} {i + 1}\n" for i in range(1, SIDE * (SIDE + 1)) if i % (SIDE + 1)
+)
 
 
 def run(*command: object, cwd: Path, **environment: str) -> str:
@@ -131,7 +134,7 @@ def test_wheel_works_in_an_empty_folder(wheel, tmp_path):
     assert where.startswith(str(site))
     command = tmp_path / "env" / "bin" / "lodpipe"
     assert "usage" in run(command, "--help", cwd=empty).lower()
-    (tmp_path / "in.obj").write_text(TRIANGLE)
+    (tmp_path / "in.obj").write_text(HILL)
     run(command, "run", tmp_path / "in.obj", "-c", "default", "-o", "out", cwd=empty)
     assert (empty / "out" / "in" / "manifest.json").is_file()
     assert (empty / "out" / "in" / "LOD0").is_dir()
