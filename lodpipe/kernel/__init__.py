@@ -32,17 +32,17 @@ class QuadricOptions:
     two ends (a half-edge collapse: only vertices of the input remain), or the middle."""
     weighting: Weighting = "area"
     """Weight of a face's plane: 1, its area / 3, or its area × its angle at the vertex / π."""
-    boundary_weight: float = 10.0
+    boundary_weight: float = 0.5
     """Weight of the planes that hold open boundaries, × squared edge length; ≥ 0."""
-    seam_weight: float = 1.0
+    seam_weight: float = 0.03
     """The same at seams (one position, several wedges), material borders and edges of more than two faces."""
-    crease_weight: float = 0.1
+    crease_weight: float = 0.0
     """The same at edges sharper than `crease_degrees`."""
     crease_degrees: float = 60.0
     """Dihedral turn from which an edge is a crease, 0…180."""
     pair_distance: float = 0.0
     """Vertices closer than this (object units) may merge without an edge between them (aggregation); 0: edges only."""
-    attribute_cost: bool = True
+    attribute_cost: bool = False
     """Whether attributes steer (Hoppe 1999); if not they are carried all the same."""
     keep_topology: bool = True
     """Refuse collapses that would change the topology (link condition)."""
@@ -50,7 +50,7 @@ class QuadricOptions:
     """Give the link condition up when the target cannot be reached otherwise."""
     flip_degrees: float = 78.0
     """Largest turn of a face's normal in one collapse, 0…90."""
-    round_share: float = 1 / 16
+    round_share: float = 0.1
     """Share of the live vertices that a round considers, 0…1: smaller is nearer to the best order, larger is faster."""
     max_error: float | None = None
     """Stop where the estimated deviation would pass this, object units."""

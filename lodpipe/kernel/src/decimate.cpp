@@ -8,7 +8,6 @@
 
 #include <array>
 #include <cmath>
-#include <cstring>
 #include <memory>
 
 #include "merge.h"
@@ -23,6 +22,8 @@ constexpr int kBlocks = 16;
 constexpr int kLeastBlock = 2048;        // live vertices
 constexpr float kLeastQuality = 1e-3f;   // 2·area / longest edge², below which a new face is a sliver
 constexpr size_t kSmallRing = 48;        // up to here a linear search beats sorting
+constexpr size_t kSample = 4096;           // costs that are looked at to find a share's limit
+constexpr size_t kFew = 64;
 constexpr int kNext[3] = {1, 2, 0};
 
 struct Neighbour {
@@ -32,9 +33,9 @@ struct Neighbour {
 
 // Working memory of one thread.
 struct Scratch {
-  std::vector<int32_t> owned, ring_v, ring_u, between, before;
-  std::vector<Neighbour> near_v, near_u;
-  std::vector<float> costs;
+  Buffer<int32_t> owned, ring_v, ring_u, between, before;
+  Buffer<Neighbour> near_v, near_u;
+  Buffer<float> costs;
   Merge merge;
 };
 
@@ -83,18 +84,19 @@ class Decimator {
   // The cheapest collapse among the edges that v owns (those to vertices of a higher number).
   void evaluate(int32_t v, Scratch& w) {
     Vertex& a = s_.vertices[v];
-    if (a.flags & kDirty) a.skip = 0;
-    a.flags &= static_cast<uint8_t>(~(kDirty | kRetry | kVanish));
+    uint8_t& flags = s_.flags[v];
+    if (flags & kDirty) a.skip = 0;
+    flags &= static_cast<uint8_t>(~(kDirty | kRetry | kVanish));
     w.owned.clear();
     int faces = 0;
-    if (a.flags & kIrregular) {
+    if (flags & kIrregular) {
       each_face(a, [&](int32_t c, const Face& f) {
         ++faces;
         for (int k = 0; k < 3; ++k)
           if (f.v[k] > v && k != slot_of(c)) w.owned.push_back(f.v[k]);
       });
       std::sort(w.owned.begin(), w.owned.end());
-      w.owned.erase(std::unique(w.owned.begin(), w.owned.end()), w.owned.end());
+      w.owned.resize(std::unique(w.owned.begin(), w.owned.end()) - w.owned.begin());
     } else {  // each neighbour follows v in just one face
       each_face(a, [&](int32_t c, const Face& f) {
         ++faces;
@@ -105,18 +107,18 @@ class Decimator {
     s_.cost[v] = kInfinity;
     s_.partner[v] = kNone;
     if (!faces) {
-      a.flags |= kDead;
+      flags |= kDead;
       return;
     }
     if (w.owned.empty()) return;
     if (faces < kVanishFaces && gather_component(v, w.before)) {
-      a.flags |= kVanish;
+      flags |= kVanish;
       if (a.skip == 0) s_.cost[v] = vanishing_cost(w.before), s_.partner[v] = w.owned[0];
       return;
     }
     w.costs.resize(w.owned.size());
     w.merge.costs(s_, options_, v, w.owned, w.costs.data());
-    if (a.skip >= w.owned.size()) return;
+    if (a.skip >= static_cast<int32_t>(w.owned.size())) return;
     for (int n = 0;; ++n) {
       const auto best = std::min_element(w.costs.begin(), w.costs.end());
       if (n == a.skip) {
@@ -128,8 +130,9 @@ class Decimator {
   }
 
   // The vertices of v's component if it has at most kVanishFaces faces.
-  bool gather_component(int32_t v, std::vector<int32_t>& members) const {
-    members.assign(1, v);
+  bool gather_component(int32_t v, Buffer<int32_t>& members) const {
+    members.clear();
+    members.push_back(v);
     int faces = 0;
     for (size_t i = 0; i < members.size(); ++i) {
       int here = 0;
@@ -141,12 +144,12 @@ class Decimator {
         for (const int32_t u : f.v)
           if (std::find(members.begin(), members.end(), u) == members.end()) members.push_back(u);
       }
-      if (members.size() > 4 || (s_.vertices[members[i]].flags & kLocked)) return false;
+      if (members.size() > 4 || (s_.flags[members[i]] & kLocked)) return false;
     }
     return faces <= kVanishFaces;
   }
 
-  float vanishing_cost(const std::vector<int32_t>& members) const {
+  float vanishing_cost(const Buffer<int32_t>& members) const {
     const Vec3 origin = s_.vertices[members[0]].p;
     Quadric sum;
     Vec3 middle;
@@ -163,27 +166,30 @@ class Decimator {
 
   // ---------------------------------------------------------------- pick
 
-  // Fills order_ with the cheapest share of the candidates, cheapest first.
-  void pick() {
-    finite_.clear();
-    for (const int32_t v : s_.live)
-      if (s_.cost[v] < kInfinity) finite_.push_back(s_.cost[v]);
+  // Fills order_ with the cheapest share of the candidates, at most `most`. Many come in the order of their place, which
+  // the caches like and costs nothing that could be measured; few in the order of cost, so that the last ones are exact.
+  void pick(size_t most) {
     order_.clear();
-    if (finite_.empty()) return;
-    const size_t wanted = std::min<size_t>(
-        finite_.size(), std::max<size_t>(1, static_cast<size_t>(options_.round_share * static_cast<float>(s_.live.size()))));
-    std::nth_element(finite_.begin(), finite_.begin() + static_cast<int64_t>(wanted) - 1, finite_.end());
-    const float most = finite_[wanted - 1];
+    sample_.clear();
+    const size_t step = std::max<size_t>(1, s_.live.size() / kSample);
+    size_t looked = 0;
+    for (size_t i = 0; i < s_.live.size(); i += step, ++looked)
+      if (s_.cost[s_.live[i]] < kInfinity) sample_.push_back(s_.cost[s_.live[i]]);
+    float limit = std::numeric_limits<float>::max();
+    const auto wanted = static_cast<size_t>(options_.round_share * static_cast<float>(looked));
+    if (wanted + 1 < sample_.size()) {
+      std::nth_element(sample_.begin(), sample_.begin() + static_cast<int64_t>(wanted), sample_.end());
+      limit = sample_[wanted];
+    }
     for (const int32_t v : s_.live)
-      if (s_.cost[v] <= most) {
-        uint32_t bits;
-        std::memcpy(&bits, &s_.cost[v], 4);  // costs are not negative: their bits sort as they do
-        order_.push_back({bits, v});
-      }
-    if (order_.size() < 1024)
-      std::stable_sort(order_.begin(), order_.end(), [](Keyed a, Keyed b) { return a.key < b.key; });
-    else
-      radix_sort(order_, sort_scratch_);
+      if (s_.cost[v] <= limit) order_.push_back(v);
+    const auto cheaper = [&](int32_t a, int32_t b) { return s_.cost[a] != s_.cost[b] ? s_.cost[a] < s_.cost[b] : a < b; };
+    if (order_.size() > most) {
+      std::nth_element(order_.begin(), order_.begin() + static_cast<int64_t>(most), order_.end(), cheaper);
+      order_.resize(most);
+      std::sort(order_.begin(), order_.end());
+    }
+    if (order_.size() < kFew) std::sort(order_.begin(), order_.end(), cheaper);
   }
 
   // ---------------------------------------------------------------- collapse
@@ -205,16 +211,14 @@ class Decimator {
     pool_.range(static_cast<int>(s_.live.size()), kGrain, [&](int begin, int end) {
       thread_local Scratch w;
       for (int i = begin; i < end; ++i)
-        if (s_.vertices[s_.live[i]].flags & (kDirty | kRetry)) evaluate(s_.live[i], w);
+        if (s_.flags[s_.live[i]] & (kDirty | kRetry)) evaluate(s_.live[i], w);
     });
-    s_.live.erase(std::remove_if(s_.live.begin(), s_.live.end(), [&](int32_t v) { return s_.vertices[v].flags & kDead; }),
+    s_.live.erase(std::remove_if(s_.live.begin(), s_.live.end(), [&](int32_t v) { return s_.flags[v] & kDead; }),
                   s_.live.end());
-    pick();
+    // A collapse removes two triangles at most (others are left to the last part): so many cannot overshoot.
+    pick(static_cast<size_t>(std::max<int64_t>(1, (wanted + 1) / 2)));
     if (order_.empty()) return false;
-
-    // A collapse removes two triangles at most (others are left to the last part), so a prefix cannot overshoot.
-    const int64_t most = std::max<int64_t>(1, (wanted + 1) / 2);
-    const int count = static_cast<int>(std::min<int64_t>(most, static_cast<int64_t>(order_.size())));
+    const auto count = static_cast<int32_t>(order_.size());
     const int block_count =
         std::clamp(static_cast<int>(s_.live.size() / kLeastBlock), 1, kBlocks);
     blocks_.resize(kBlocks + 1);
@@ -223,8 +227,8 @@ class Decimator {
     int32_t width = std::numeric_limits<int32_t>::max();
     if (block_count > 1) {
       width = static_cast<int32_t>(s_.vertices.size() / block_count + 1);
-      for (int i = 0; i < count; ++i) {
-        const int32_t v = order_[i].id;
+      for (int32_t i = 0; i < count; ++i) {
+        const int32_t v = order_[i];
         const int32_t b = v / width;
         (s_.partner[v] / width == b ? blocks_[b].todo : rest.todo).push_back(i);
       }
@@ -238,7 +242,7 @@ class Decimator {
       }
       std::sort(rest.todo.begin(), rest.todo.end());
     } else {
-      for (int i = 0; i < count; ++i) rest.todo.push_back(i);
+      for (int32_t i = 0; i < count; ++i) rest.todo.push_back(i);
     }
     for (const int32_t i : rest.todo)
       if (rest.removed < wanted) collapse(i, -1, width, wanted, rest);
@@ -252,11 +256,11 @@ class Decimator {
 
   // Collapses candidate `i`. block < 0: anything goes; else only what stays inside the block and removes two faces.
   Outcome collapse(int32_t i, int block, int32_t width, int64_t wanted, Block& out) {
-    int32_t v = order_[i].id, u = s_.partner[v];
+    int32_t v = order_[i], u = s_.partner[v];
     Vertex &a = s_.vertices[v], &b = s_.vertices[u];
-    if (s_.stamp[v] == round_ || s_.stamp[u] == round_ || ((a.flags | b.flags) & kDead)) return Outcome::touched;
+    if (s_.stamp[v] == round_ || s_.stamp[u] == round_ || ((s_.flags[v] | s_.flags[u]) & kDead)) return Outcome::touched;
     Scratch& w = *out.scratch;
-    if (a.flags & kVanish) {
+    if (s_.flags[v] & kVanish) {
       if (block >= 0) return Outcome::wait;
       return vanish(i, v, w, out);
     }
@@ -271,19 +275,19 @@ class Decimator {
     for (const int32_t c : w.between) shared += !s_.faces[face_of(c)].link();
     if (block >= 0 && shared > 2) return Outcome::wait;
     if (shared > 2 && shared > wanted - out.removed && out.removed > 0) return Outcome::touched;
-    if (keep_topology_ && !link_condition(v, u, shared, w)) return refuse(a, out, Stop::topology);
+    if (keep_topology_ && !link_condition(v, u, shared, w)) return refuse(order_[i], out, Stop::topology);
     Vec3 y;
     const float cost = w.merge.place(s_, options_, v, u, &y);
-    if (!(cost < kInfinity)) return refuse(a, out, w.merge.locked ? Stop::locked : Stop::seams);
+    if (!(cost < kInfinity)) return refuse(order_[i], out, w.merge.locked ? Stop::locked : Stop::seams);
     const float error = std::max({a.error, b.error, w.merge.deviation});
-    if (error > max_error_) return refuse(a, out, Stop::error);
+    if (error > max_error_) return refuse(order_[i], out, Stop::error);
     if (w.merge.kept == u) {
       std::swap(v, u);
-      w.ring_v.swap(w.ring_u);
-      w.near_v.swap(w.near_u);
+      std::swap(w.ring_v, w.ring_u);
+      std::swap(w.near_v, w.near_u);
     }
     const Vec3 x = s_.vertices[v].p + y;
-    if (turns(w.ring_v, v, x) || turns(w.ring_u, u, x)) return refuse(s_.vertices[order_[i].id], out, Stop::flip);
+    if (turns(w.ring_v, v, x) || turns(w.ring_u, u, x)) return refuse(order_[i], out, Stop::flip);
 
     apply(i, v, u, x, error, w, out);
     s_.stamp[v] = s_.stamp[u] = round_;
@@ -291,26 +295,26 @@ class Decimator {
     return Outcome::done;
   }
 
-  Outcome refuse(Vertex& a, Block& out, Stop why) {
+  Outcome refuse(int32_t v, Block& out, Stop why) {
     ++out.refused[static_cast<size_t>(why)];
-    if (a.skip < 255) ++a.skip;
-    a.flags |= kRetry;
+    ++s_.vertices[v].skip;
+    s_.flags[v] |= kRetry;
     return Outcome::refused;
   }
 
   static bool has(const Face& f, int32_t v) { return f.v[0] == v || f.v[1] == v || f.v[2] == v; }
 
-  bool inside(const std::vector<Neighbour>& near, int block, int32_t width) const {
+  bool inside(const Buffer<Neighbour>& near, int block, int32_t width) const {
     for (const Neighbour& n : near)
       if (n.vertex / width != block) return false;
     return true;
   }
 
   // Live corners of v, and its neighbours with the number of triangles that each shares with it.
-  void gather_ring(int32_t v, std::vector<int32_t>& ring, std::vector<Neighbour>& near) {
+  void gather_ring(int32_t v, Buffer<int32_t>& ring, Buffer<Neighbour>& near) {
     ring.clear();
     near.clear();
-    const bool regular = !(s_.vertices[v].flags & kIrregular);
+    const bool regular = !(s_.flags[v] & kIrregular);
     each_face(s_.vertices[v], [&](int32_t c, const Face& f) {
       ring.push_back(c);
       if (regular) {
@@ -331,7 +335,7 @@ class Decimator {
   }
 
   // Takes the corners of faces that have `other` out of the ring.
-  void split(std::vector<int32_t>& ring, int32_t other, std::vector<int32_t>* out) const {
+  void split(Buffer<int32_t>& ring, int32_t other, Buffer<int32_t>* out) const {
     size_t kept = 0;
     for (const int32_t c : ring)
       if (!has(s_.faces[face_of(c)], other)) ring[kept++] = c;
@@ -339,7 +343,7 @@ class Decimator {
     ring.resize(kept);
   }
 
-  static const Neighbour* find(const std::vector<Neighbour>& near, int32_t v) {
+  static const Neighbour* find(const Buffer<Neighbour>& near, int32_t v) {
     if (near.size() <= kSmallRing) {
       for (const Neighbour& n : near)
         if (n.vertex == v) return &n;
@@ -363,14 +367,14 @@ class Decimator {
     }
     if (common != w.before.size()) return false;
     if (shared == 1) return true;
-    const auto on_boundary = [](const std::vector<Neighbour>& near) {
+    const auto on_boundary = [](const Buffer<Neighbour>& near) {
       return std::any_of(near.begin(), near.end(), [](const Neighbour& n) { return n.faces == 1; });
     };
     return !(on_boundary(w.near_v) && on_boundary(w.near_u));
   }
 
   // Would a face of `ring` that stays turn over, or become a sliver, when its corner `moving` goes to x?
-  bool turns(const std::vector<int32_t>& ring, int32_t moving, Vec3 x) const {
+  bool turns(const Buffer<int32_t>& ring, int32_t moving, Vec3 x) const {
     const Vec3 p = s_.vertices[moving].p;
     for (const int32_t c : ring) {
       const Face& f = s_.faces[face_of(c)];
@@ -379,7 +383,7 @@ class Decimator {
       const Vec3 q = s_.vertices[f.v[k]].p, r = s_.vertices[f.v[kNext[k]]].p;
       const Vec3 e = r - q, old_side = p - q, new_side = x - q;
       const Vec3 n0 = cross(e, old_side), n1 = cross(e, new_side);
-      const float size0 = dot(n0, n0), size1 = dot(n1, n1);
+      const float size0 = dot(n0, n0), size1 = dot(n1, n1), cosine = dot(n0, n1);
       const Vec3 third = x - r;
       const float longest = std::max({dot(e, e), dot(new_side, new_side), dot(third, third)});
       if (size1 < kLeastQuality * kLeastQuality * longest * longest) {
@@ -387,7 +391,9 @@ class Decimator {
         const float before = std::max({dot(e, e), dot(old_side, old_side), dot(old_third, old_third)});
         if (size1 * before * before < 0.25f * size0 * longest * longest) return true;  // it was none before
       }
-      if (size0 > 1e-12f * longest * longest && dot(n0, n1) < options_.flip_cos * std::sqrt(size0 * size1)) return true;
+      if (size0 > 1e-12f * longest * longest &&
+          (cosine <= 0 || cosine * cosine < options_.flip_cos * options_.flip_cos * size0 * size1))
+        return true;
     }
     return false;
   }
@@ -406,43 +412,51 @@ class Decimator {
     const auto keep = [&](int32_t c) {
       Face& f = s_.faces[face_of(c)];
       f.v[slot_of(c)] = v;
-      if (s_.columns && !f.link()) f.w[slot_of(c)] = m.target(f.w[slot_of(c)]);
       *link = c;
       link = &f.next[slot_of(c)];
     };
     for (const int32_t c : w.ring_v) keep(c);
     for (const int32_t c : w.ring_u) keep(c);
     *link = kNone;
+    if (s_.columns) {
+      rename_wedges(w.ring_u, m);
+      if (m.groups() > 1 || (s_.flags[v] & kSeveralWedges)) rename_wedges(w.ring_v, m);
+    }
     // an edge belongs to its lower end: above v nothing changed but for those whose partner is gone
     for (const auto* near : {&w.near_v, &w.near_u})
       for (const Neighbour& n : *near) {
-        Vertex& other = s_.vertices[n.vertex];
-        if (n.vertex < v || s_.partner[n.vertex] == u || other.skip) other.flags |= kDirty;
+        if (n.vertex < v || s_.partner[n.vertex] == u || s_.vertices[n.vertex].skip) s_.flags[n.vertex] |= kDirty;
       }
     a.q = m.quadric;
     a.p = x;
     a.error = error;
-    a.flags |= kDirty;
-    if (m.moved) a.flags |= kMoved;
-    a.flags |= b.flags & kIrregular;
-    a.flags = static_cast<uint8_t>((a.flags & ~(kSeveralWedges | kLocked)) | (m.groups() > 1 ? kSeveralWedges : 0) |
-                                   ((a.flags | b.flags) & kLocked));
-    b.flags = kDead;
+    uint8_t& flags = s_.flags[v];
+    flags &= static_cast<uint8_t>(~kSeveralWedges);
+    flags |= kDirty | (m.moved ? kMoved : 0) | (m.groups() > 1 ? kSeveralWedges : 0) | (s_.flags[u] & (kIrregular | kLocked));
+    s_.flags[u] = kDead;
     b.head = kNone;
     s_.cost[u] = kInfinity;
-    if (a.head == kNone) a.flags |= kDead, s_.cost[v] = kInfinity;
+    if (a.head == kNone) flags |= kDead, s_.cost[v] = kInfinity;
     if (options_.record) note(rank, v, u, removed, m, out);
+  }
+
+  void rename_wedges(const Buffer<int32_t>& ring, const Merge& m) {
+    for (const int32_t c : ring) {
+      if (s_.faces[face_of(c)].link()) continue;
+      int32_t& w = s_.wedges[face_of(c)].w[slot_of(c)];
+      w = m.target(w);
+    }
   }
 
   Outcome vanish(int32_t rank, int32_t v, Scratch& w, Block& out) {
     if (!gather_component(v, w.before)) {
-      s_.vertices[v].flags |= kDirty;
+      s_.flags[v] |= kDirty;
       return Outcome::touched;
     }
     Vertex& a = s_.vertices[v];
     const float trace = a.q.trace();
     const float error = trace > 0 ? std::sqrt(s_.cost[v] / trace) : 0;
-    if (error > max_error_) return refuse(a, out, Stop::error);
+    if (error > max_error_) return refuse(v, out, Stop::error);
     int removed = 0;
     for (const int32_t m : w.before) {
       for (int32_t c = s_.vertices[m].head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)]) {
@@ -451,7 +465,7 @@ class Decimator {
       }
     }
     for (const int32_t m : w.before) {
-      s_.vertices[m].flags = kDead;
+      s_.flags[m] = kDead;
       s_.cost[m] = kInfinity;
       s_.stamp[m] = round_;
       if (options_.record && m != v) {
@@ -531,7 +545,7 @@ class Decimator {
       keep_topology_ = false;
       relaxed_ = true;
       refused_ = {};
-      for (const int32_t v : s_.live) s_.vertices[v].flags |= kDirty | kIrregular;
+      for (const int32_t v : s_.live) s_.flags[v] |= kDirty | kIrregular;
       return Stop::triangles;
     }
     if (max_error_ < kInfinity && refused_[static_cast<size_t>(Stop::error)]) return Stop::error;
@@ -543,7 +557,7 @@ class Decimator {
 
   std::array<double, 3> world(int32_t v) const {
     const Vertex& a = s_.vertices[v];
-    if (!(a.flags & kMoved)) {
+    if (!(s_.flags[v] & kMoved)) {
       const double* p = in_.positions + 3 * static_cast<int64_t>(s_.vertex_source[v]);
       return {p[0], p[1], p[2]};
     }
@@ -559,8 +573,10 @@ class Decimator {
     float error = 0;
     const size_t count = static_cast<size_t>(s_.triangles);
     level.faces.reserve(3 * count), level.wedges.reserve(3 * count), level.face_source.reserve(count);
-    for (const Face& f : s_.faces) {
-      if (f.dead() || f.link()) continue;
+    for (size_t i = 0; i < s_.wedges.size(); ++i) {
+      const Face& f = s_.faces[i];
+      const Wedges& wedges = s_.wedges[i];
+      if (f.dead()) continue;
       level.face_source.push_back(f.source);
       for (int k = 0; k < 3; ++k) {
         int32_t& n = number[f.v[k]];
@@ -568,14 +584,14 @@ class Decimator {
           n = static_cast<int32_t>(level.vertex_source.size());
           const Vertex& a = s_.vertices[f.v[k]];
           error = std::max(error, a.error);
-          level.vertex_source.push_back(a.flags & kMoved ? kNone : s_.vertex_source[f.v[k]]);
+          level.vertex_source.push_back(s_.flags[f.v[k]] & kMoved ? kNone : s_.vertex_source[f.v[k]]);
           for (const double c : world(f.v[k])) level.positions.push_back(c);
         }
         level.faces.push_back(n);
-        int32_t& w = wedge_number[f.w[k]];
+        int32_t& w = wedge_number[wedges.w[k]];
         if (w == kNone) {
           w = static_cast<int32_t>(level.wedge_source.size());
-          emit_wedge(f.w[k], level);
+          emit_wedge(wedges.w[k], level);
         }
         level.wedges.push_back(w);
       }
@@ -601,8 +617,8 @@ class Decimator {
   Pool pool_;
   State s_;
   Result result_;
-  std::vector<float> finite_;
-  std::vector<Keyed> order_, sort_scratch_;
+  std::vector<float> sample_;
+  std::vector<int32_t> order_;
   std::vector<Block> blocks_;
   std::array<int64_t, 7> refused_{};
   int32_t round_ = 0;

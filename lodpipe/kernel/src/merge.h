@@ -22,10 +22,10 @@ class Merge {
   int32_t kept = kNone;  // after place(): the vertex that stays
 
   // Costs of merging v with each of `others`: the same as place(), four at a time where nothing but planes steers.
-  void costs(const State& s, const Options& options, int32_t v, const std::vector<int32_t>& others, float* out) {
+  void costs(const State& s, const Options& options, int32_t v, const Buffer<int32_t>& others, float* out) {
     const Vertex& a = s.vertices[v];
     const size_t count = others.size();
-    if (options.placement != Placement::optimal || s.steering || (a.flags & kLocked)) {
+    if (options.placement != Placement::optimal || s.steering || (s.flags[v] & kLocked)) {
       for (size_t i = 0; i < count; ++i) out[i] = cost(s, options, v, others[i]);
       return;
     }
@@ -35,7 +35,7 @@ class Merge {
       Lanes four;
       const int sound = plane_costs(a, b, &four);
       for (size_t k = 0; k < 4 && i + k < count; ++k)
-        out[i + k] = sound >> k & 1 && !(b[k]->flags & kLocked) ? four[k] : cost(s, options, v, others[i + k]);
+        out[i + k] = sound >> k & 1 && !(s.flags[others[i + k]] & kLocked) ? four[k] : cost(s, options, v, others[i + k]);
     }
   }
 
@@ -48,12 +48,13 @@ class Merge {
   float place(const State& s, const Options& options, int32_t v, int32_t u, Vec3* y) {
     const Vertex &a = s.vertices[v], &b = s.vertices[u];
     *y = {};
-    locked = a.flags & b.flags & kLocked;
+    const uint8_t of_v = s.flags[v], of_u = s.flags[u];
+    locked = of_v & of_u & kLocked;
     if (locked) return kInfinity;
-    if (options.placement == Placement::endpoint || ((a.flags | b.flags) & kLocked)) {
-      const float onto_v = b.flags & kLocked ? kInfinity : onto(s, v, u);
+    if (options.placement == Placement::endpoint || ((of_v | of_u) & kLocked)) {
+      const float onto_v = of_u & kLocked ? kInfinity : onto(s, v, u);
       const float trace_v = quadric.trace();
-      const float onto_u = a.flags & kLocked ? kInfinity : onto(s, u, v);
+      const float onto_u = of_v & kLocked ? kInfinity : onto(s, u, v);
       kept = onto_v <= onto_u ? v : u;
       if (kept == v) {
         if (onto_u < kInfinity) onto(s, v, u);  // its groups again
@@ -236,19 +237,19 @@ class Merge {
       of_u_.push_back(of_u);
       return static_cast<int>(members_.size()) - 1;
     };
-    const bool several = (s.vertices[v].flags | s.vertices[u].flags) & kSeveralWedges;
+    const bool several = (s.flags[v] | s.flags[u]) & kSeveralWedges;
     for (const bool of_u : {false, true})
       for (int32_t c = s.vertices[of_u ? u : v].head; c != kNone; c = s.faces[face_of(c)].next[slot_of(c)]) {
         const Face& f = s.faces[face_of(c)];
         if (f.dead() || f.link()) continue;
-        const int mine = number(f.w[slot_of(c)], of_u);
+        const int mine = number(s.wedges[face_of(c)].w[slot_of(c)], of_u);
         if (!of_u) {
           if (!several) break;
           continue;
         }
         for (int k = 0; k < 3; ++k)
           if (f.v[k] == v) {
-            const int32_t other = members_[number(f.w[k], false)].second, own = members_[mine].second;
+            const int32_t other = members_[number(s.wedges[face_of(c)].w[k], false)].second, own = members_[mine].second;
             if (other != own)
               for (auto& m : members_)
                 if (m.second == std::max(own, other)) m.second = std::min(own, other);

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "decimate.h"
+#include "memory.h"
 #include "order.h"
 #include "parallel.h"
 #include "quadric.h"
@@ -26,19 +27,52 @@ struct Vertex {  // one cache line
   Vec3 p;
   Quadric q;
   int32_t head;  // first corner of its list, −1: none
-  uint8_t flags, skip;
-  uint16_t unused;
-  float error;  // estimate of the deviation so far
+  int32_t skip;  // so many of its cheapest collapses were refused since it was last dirty
+  float error;   // estimate of the deviation so far
 };
 static_assert(sizeof(Vertex) == 64);
 
 // A triangle, or (v[2] = kNone) a link between two vertices that are near each other but share no edge.
-struct Face {
-  int32_t v[3], w[3];  // vertices and wedges
-  int32_t next[3];     // next corner in the list round v[k]
-  int32_t source;      // row of the input
+struct Face {  // half a cache line
+  int32_t v[3];
+  int32_t next[3];  // next corner in the list round v[k]
+  int32_t source;   // row of the input
+  int32_t unused;
   bool dead() const { return v[0] < 0; }
   bool link() const { return v[2] < 0; }
+};
+static_assert(sizeof(Face) == 32);
+
+struct Wedges {  // of a face's corners
+  int32_t w[3];
+};
+
+// A vector that is filled anew all the time: pushing is one comparison and one store.
+template <class T>
+class Buffer {
+ public:
+  void clear() { size_ = 0; }
+  void push_back(const T& x) {
+    if (size_ == items_.size()) items_.resize(2 * size_ + 32);
+    items_[size_++] = x;
+  }
+  void resize(size_t size) {
+    if (size > items_.size()) items_.resize(size);
+    size_ = size;
+  }
+  size_t size() const { return size_; }
+  bool empty() const { return !size_; }
+  T* data() { return items_.data(); }
+  T& operator[](size_t i) { return items_[i]; }
+  const T& operator[](size_t i) const { return items_[i]; }
+  T* begin() { return items_.data(); }
+  T* end() { return items_.data() + size_; }
+  const T* begin() const { return items_.data(); }
+  const T* end() const { return items_.data() + size_; }
+
+ private:
+  std::vector<T> items_;
+  size_t size_ = 0;
 };
 
 constexpr int32_t kNone = -1;
@@ -55,19 +89,21 @@ struct Slope {
 };
 
 struct State {
-  std::vector<Vertex> vertices;
-  std::vector<Face> faces;  // triangles first, then links
-  std::vector<float> cost;
-  std::vector<int32_t> partner;
-  std::vector<int32_t> stamp;  // round in which the vertex was last touched
+  Large<Vertex> vertices;
+  Large<uint8_t> flags;
+  Large<Face> faces;     // triangles first, then links
+  Large<Wedges> wedges;  // of the triangles
+  Large<float> cost;  // of the vertex's best collapse, and with whom
+  Large<int32_t> partner;
+  Large<int32_t> stamp;  // round in which the vertex was last touched
   std::vector<int32_t> live;
   std::vector<int32_t> vertex_source, wedge_source;
   // wedges, row-major with `columns`
   int columns = 0, steering = 0;  // the first `steering` columns have a share in the cost
   std::vector<int32_t> column_source;
   std::vector<float> column_scale;
-  std::vector<float> value, weight;
-  std::vector<Slope> slope;
+  Large<float> value, weight;
+  Large<Slope> slope;
   std::vector<uint8_t> wedge_moved;
 
   double center[3] = {0, 0, 0};

@@ -10,7 +10,6 @@ namespace lodpipe {
 namespace {
 
 constexpr int kGrain = 2048;
-constexpr size_t kSmallFan = 32;
 
 void fit_unit_box(const Input& in, State& s) {
   double lo[3], hi[3];
@@ -40,11 +39,12 @@ std::vector<int32_t> order_all(const Input& in, State& s) {
   radix_sort(keys, scratch);
   std::vector<int32_t> rank(count);
   s.vertices.resize(count);
+  s.flags.assign(count, kDirty);
   s.vertex_source.resize(count);
   for (int i = 0; i < count; ++i) {
     rank[keys[i].id] = i;
     s.vertex_source[i] = keys[i].id;
-    s.vertices[i] = Vertex{at[keys[i].id], {}, kNone, kDirty, 0, 0, 0};
+    s.vertices[i] = Vertex{at[keys[i].id], {}, kNone, 0, 0};
   }
   return rank;
 }
@@ -64,17 +64,20 @@ void place_faces(const Input& in, const std::vector<int32_t>& rank, State& s) {
   std::partial_sum(start.begin(), start.end(), start.begin());
   s.triangles = start.back();
   s.faces.resize(s.triangles);
+  s.wedges.resize(s.triangles);
   for (int64_t f = 0; f < in.face_count; ++f) {
     if (flat(f)) continue;
     const int32_t* v = in.faces + 3 * f;
     const int32_t* w = in.wedges + 3 * f;
-    s.faces[start[first(f)]++] = {{rank[v[0]], rank[v[1]], rank[v[2]]}, {w[0], w[1], w[2]}, {}, static_cast<int32_t>(f)};
+    const int32_t to = start[first(f)]++;
+    s.faces[to] = {{rank[v[0]], rank[v[1]], rank[v[2]]}, {}, static_cast<int32_t>(f), 0};
+    s.wedges[to] = {{w[0], w[1], w[2]}};
   }
 }
 
 void place_wedges(const Input& in, const Options& options, State& s) {
   std::vector<int32_t> number(in.wedge_count, kNone);
-  for (Face& f : s.faces)
+  for (Wedges& f : s.wedges)
     for (int32_t& w : f.w) {
       if (number[w] == kNone) {
         number[w] = static_cast<int32_t>(s.wedge_source.size());
@@ -115,99 +118,133 @@ void link_corners(State& s) {
     }
 }
 
-// Quadrics of one vertex, from the faces round it.
-class FirstQuadrics {
+// Planes and slopes of the faces, added to their corners. Each quadric has its origin at its own corner, through which
+// the plane passes: b and c begin at 0.
+class FaceQuadrics {
  public:
-  FirstQuadrics(const Input& in, const Options& options, State& s) : in_(in), options_(options), s_(s) {}
+  FaceQuadrics(const Options& options, State& s) : options_(options), s_(s) {}
+
+  void operator()(int32_t face) {
+    const Face& f = s_.faces[face];
+    const Vec3 p[3] = {s_.vertices[f.v[0]].p, s_.vertices[f.v[1]].p, s_.vertices[f.v[2]].p};
+    const Vec3 e1 = p[1] - p[0], e2 = p[2] - p[0], across = cross(e1, e2);
+    const float twice = length(across);
+    if (!(twice > 0)) return;
+    const Vec3 n = across * (1 / twice);
+    for (int k = 0; k < 3; ++k) s_.vertices[f.v[k]].q.add_plane(n, 0, plane_weight(p, k, twice / 2));
+    if (s_.columns) add_slopes(f, s_.wedges[face], cross(e2, n), cross(n, e1), twice);
+  }
+
+ private:
+  float plane_weight(const Vec3* p, int k, float area) const {
+    if (options_.weighting == Weighting::uniform) return 1;
+    if (options_.weighting == Weighting::area) return area / 3;
+    const Vec3 a = p[(k + 1) % 3] - p[k], b = p[(k + 2) % 3] - p[k];
+    const float cosine = dot(a, b) / std::max(length(a) * length(b), 1e-30f);
+    return area * std::acos(std::clamp(cosine, -1.0f, 1.0f)) / 3.14159265f;
+  }
+
+  // Each attribute is linear over the face (Hoppe 1999, section 3): value₀ + g·x, with g from the two dual edges.
+  // A third of the face's area goes to each corner; there the function equals the wedge's value, so its offset is 0.
+  void add_slopes(const Face& f, const Wedges& wedges, Vec3 dual1, Vec3 dual2, float twice) {
+    const float weight = twice / 6;
+    const float *v0 = &s_.value[static_cast<size_t>(wedges.w[0]) * s_.columns],
+                *v1 = &s_.value[static_cast<size_t>(wedges.w[1]) * s_.columns],
+                *v2 = &s_.value[static_cast<size_t>(wedges.w[2]) * s_.columns];
+    Slope* slope[3];
+    for (int i = 0; i < 3; ++i) {
+      slope[i] = &s_.slope[static_cast<size_t>(wedges.w[i]) * s_.columns];
+      s_.weight[wedges.w[i]] += weight;
+    }
+    const Vec3 half1 = dual1 * (1.0f / 6), half2 = dual2 * (1.0f / 6);
+    for (int k = 0; k < s_.columns; ++k) {
+      const Vec3 g = half1 * (v1[k] - v0[k]) + half2 * (v2[k] - v0[k]);  // × weight
+      for (int i = 0; i < 3; ++i) slope[i][k].x += g.x, slope[i][k].y += g.y, slope[i][k].z += g.z;
+      if (k < s_.steering)
+        for (int i = 0; i < 3; ++i) s_.vertices[f.v[i]].q.add_plane(g, 0, 1 / weight);
+    }
+  }
+
+  const Options& options_;
+  State& s_;
+};
+
+// Blocks of faces side by side; faces between two blocks afterwards. The order of the sums does not depend on threads.
+void add_faces(const Options& options, Pool& pool, State& s) {
+  constexpr int kBlocks = 16;
+  const auto width = static_cast<int32_t>(s.vertices.size() / kBlocks + 1);
+  const auto triangles = static_cast<int32_t>(s.triangles);
+  // faces are in the order of their first vertex
+  std::vector<int32_t> start(kBlocks + 1, triangles);
+  for (int b = 0; b <= kBlocks; ++b) {
+    const auto first = [](const Face& f) { return std::min({f.v[0], f.v[1], f.v[2]}); };
+    start[b] = static_cast<int32_t>(std::partition_point(s.faces.begin(), s.faces.begin() + triangles,
+                                                         [&](const Face& f) { return first(f) / width < b; }) -
+                                    s.faces.begin());
+  }
+  std::vector<std::vector<int32_t>> between(kBlocks);
+  pool.run(kBlocks, [&](int b) {
+    FaceQuadrics add(options, s);
+    for (int32_t i = start[b]; i < start[b + 1]; ++i) {
+      const Face& f = s.faces[i];
+      if (std::max({f.v[0], f.v[1], f.v[2]}) / width == b) add(i);
+      else between[b].push_back(i);
+    }
+  });
+  FaceQuadrics add(options, s);
+  for (const auto& list : between)
+    for (const int32_t i : list) add(i);
+}
+
+// What the faces round one vertex tell of it: borders, seams and creases, which get planes of their own; and whether
+// they form closed fans.
+class Surroundings {
+ public:
+  Surroundings(const Input& in, const Options& options, State& s) : in_(in), options_(options), s_(s) {}
 
   void operator()(int v) {
     Vertex& a = s_.vertices[v];
+    uint8_t& flags = s_.flags[v];
     ring_.clear();
-    int32_t wedge = kNone;
+    uint64_t entering = 0, leaving = 0;  // sums of hashes: equal if the same edges enter and leave, with the same wedges
     for (int32_t c = a.head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)]) {
       const Face& f = s_.faces[face_of(c)];
       if (f.link()) {
-        a.flags |= kIrregular;
+        flags |= kIrregular;
         continue;
       }
-      const int k = slot_of(c);
-      if (wedge != kNone && wedge != f.w[k]) a.flags |= kSeveralWedges;
-      wedge = f.w[k];
-      const int i = (k + 1) % 3, j = (k + 2) % 3;
-      Spoke p{f.v[i], f.v[j], f.w[k], f.w[i], f.w[j], {}, 0};
-      const Vec3 e1 = s_.vertices[p.next].p - a.p, e2 = s_.vertices[p.previous].p - a.p;
-      const Vec3 n = cross(e1, e2);
-      const float twice = length(n);
-      p.normal = twice > 0 ? n * (1 / twice) : Vec3{};
-      p.area = twice / 2;
-      ring_.push_back(p);
-      if (!(twice > 0)) continue;
-      float w = p.area / 3;
-      if (options_.weighting == Weighting::uniform) w = 1;
-      if (options_.weighting == Weighting::area_angle) {
-        const float cosine = dot(e1, e2) / std::max(length(e1) * length(e2), 1e-30f);
-        w = p.area * std::acos(std::clamp(cosine, -1.0f, 1.0f)) / 3.14159265f;
-      }
-      a.q.add_plane(p.normal, 0, w);
-      if (s_.columns) add_slopes(a, p, e1, e2, n, twice);
+      const int32_t* w = s_.wedges[face_of(c)].w;
+      const int k = slot_of(c), i = (k + 1) % 3, j = (k + 2) % 3;
+      ring_.push_back({f.v[i], f.v[j], w[k], w[i], w[j]});
+      if (w[k] != ring_[0].wedge) flags |= kSeveralWedges;
+      leaving += mix(f.v[i], w[i]);
+      entering += mix(f.v[j], w[j]);
     }
-    if (!closed_fans(a)) constrain_irregular(a);
+    if (entering != leaving || (flags & kSeveralWedges) || options_.crease_weight > 0 || repeated()) look_closer(a, flags);
     const int source = s_.vertex_source[v];
     if (in_.importance) weigh(a, in_.importance[source]);
-    if (in_.locked && in_.locked[source]) a.flags |= kLocked;
+    if (in_.locked && in_.locked[source]) flags |= kLocked;
   }
 
  private:
   struct Spoke {
     int32_t next, previous, wedge, next_wedge, previous_wedge;
-    Vec3 normal;
-    float area;
   };
 
-  // Gradient of each attribute over the face (Hoppe 1999, section 3); its offset at the vertex is 0 to begin with.
-  void add_slopes(Vertex& a, const Spoke& p, Vec3 e1, Vec3 e2, Vec3 n, float twice) {
-    const float w = p.area / 3;
-    const float over = 1 / (twice * twice);
-    const Vec3 g1 = cross(e2, n) * over, g2 = cross(n, e1) * over;
-    const float *v0 = &s_.value[static_cast<size_t>(p.wedge) * s_.columns],
-                *v1 = &s_.value[static_cast<size_t>(p.next_wedge) * s_.columns],
-                *v2 = &s_.value[static_cast<size_t>(p.previous_wedge) * s_.columns];
-    Slope* slope = &s_.slope[static_cast<size_t>(p.wedge) * s_.columns];
-    s_.weight[p.wedge] += w;
-    for (int k = 0; k < s_.columns; ++k) {
-      const Vec3 g = g1 * (v1[k] - v0[k]) + g2 * (v2[k] - v0[k]);
-      slope[k].x += w * g.x, slope[k].y += w * g.y, slope[k].z += w * g.z;
-      if (k < s_.steering) a.q.add_plane(g, 0, w);
-    }
+  static uint64_t mix(int32_t v, int32_t w) {
+    uint64_t x = (static_cast<uint64_t>(v) << 32 | static_cast<uint32_t>(w)) * 0x9E3779B97F4A7C15u;
+    return (x ^ x >> 29) * 0xBF58476D1CE4E5B9u;
   }
 
-  // Regular: each edge round the vertex leaves one face and enters one other. Then it is held where it is a seam.
-  bool closed_fans(Vertex& a) {
-    const size_t count = ring_.size();
-    if (count > kSmallFan) return false;
-    uint8_t match[kSmallFan];
-    for (size_t i = 0; i < count; ++i) {
-      int found = 0, same = 0;
-      for (size_t j = 0; j < count; ++j) {
-        const bool hit = ring_[j].previous == ring_[i].next;
-        found += hit;
-        same += ring_[j].next == ring_[i].next;
-        if (hit) match[i] = static_cast<uint8_t>(j);
-      }
-      if (found != 1 || same != 1) return false;
-    }
-    for (size_t i = 0; i < count; ++i) {
-      const Spoke &p = ring_[i], &q = ring_[match[i]];
-      const float weight = discontinuity(p, q, p.next);
-      if (!(weight > 0)) continue;
-      hold(a, p, p.next, weight);
-      hold(a, q, p.next, weight);
-    }
-    return true;
+  bool repeated() const {
+    if (ring_.size() > 32) return true;
+    for (size_t i = 1; i < ring_.size(); ++i)
+      for (size_t j = 0; j < i; ++j)
+        if (ring_[i].next == ring_[j].next) return true;
+    return false;
   }
 
-  void constrain_irregular(Vertex& a) {
-    a.flags |= kIrregular;
+  void look_closer(Vertex& a, uint8_t& flags) {
     edges_.clear();
     for (int i = 0; i < static_cast<int>(ring_.size()); ++i) {
       edges_.push_back({ring_[i].next, i});
@@ -219,53 +256,55 @@ class FirstQuadrics {
       const int32_t other = edges_[i].first;
       float weight = options_.seam_weight;
       if (j - i == 1) weight = options_.boundary_weight;
-      if (j - i == 2) weight = discontinuity(ring_[edges_[i].second], ring_[edges_[i + 1].second], other);
+      if (j - i == 2) {
+        const Spoke &p = ring_[edges_[i].second], &q = ring_[edges_[i + 1].second];
+        weight = discontinuity(a, p, q, other);
+        if ((p.next == other) == (q.next == other)) flags |= kIrregular;
+      } else {
+        flags |= kIrregular;
+      }
       if (weight > 0)
         for (size_t k = i; k < j; ++k) hold(a, ring_[edges_[k].second], other, weight);
     }
   }
 
   // Weight of the edge to `other`, between the faces of p and q.
-  float discontinuity(const Spoke& p, const Spoke& q, int32_t other) const {
+  float discontinuity(const Vertex& a, const Spoke& p, const Spoke& q, int32_t other) const {
     if (p.wedge != q.wedge || wedge_at(p, other) != wedge_at(q, other)) return options_.seam_weight;
-    return dot(p.normal, q.normal) < options_.crease_cos ? options_.crease_weight : 0;
+    if (!(options_.crease_weight > 0)) return 0;
+    return dot(normalized(normal(a, p)), normalized(normal(a, q))) < options_.crease_cos ? options_.crease_weight : 0;
   }
   static int32_t wedge_at(const Spoke& p, int32_t vertex) { return p.next == vertex ? p.next_wedge : p.previous_wedge; }
+  Vec3 normal(const Vertex& a, const Spoke& p) const {
+    return cross(s_.vertices[p.next].p - a.p, s_.vertices[p.previous].p - a.p);
+  }
 
   // A plane through the edge, perpendicular to the face (Garland & Heckbert 1997, section 6).
   void hold(Vertex& a, const Spoke& p, int32_t other, float weight) {
-    if (!(p.area > 0)) return;
     const Vec3 e = s_.vertices[other].p - a.p;
     const float size = options_.weighting == Weighting::uniform ? 1.0f : dot(e, e);
-    a.q.add_plane(normalized(cross(e, p.normal)), 0, weight * size);
+    a.q.add_plane(normalized(cross(e, normal(a, p))), 0, weight * size);
   }
 
   void weigh(Vertex& a, float importance) {
     a.q *= importance;
     if (!s_.columns) return;
-    int32_t last = kNone;
-    for (const Spoke& p : ring_) {
-      if (p.wedge == last || (last != kNone && seen_before(p))) continue;
-      last = p.wedge;
-      s_.weight[p.wedge] *= importance;
+    for (size_t i = 0; i < ring_.size(); ++i) {
+      const int32_t wedge = ring_[i].wedge;
+      const auto same = [wedge](const Spoke& q) { return q.wedge == wedge; };
+      if (std::any_of(ring_.begin(), ring_.begin() + i, same)) continue;
+      s_.weight[wedge] *= importance;
       for (int k = 0; k < s_.columns; ++k) {
-        Slope& t = s_.slope[static_cast<size_t>(p.wedge) * s_.columns + k];
+        Slope& t = s_.slope[static_cast<size_t>(wedge) * s_.columns + k];
         t.x *= importance, t.y *= importance, t.z *= importance;
       }
     }
-  }
-  bool seen_before(const Spoke& p) const {
-    for (const Spoke& q : ring_) {
-      if (&q == &p) return false;
-      if (q.wedge == p.wedge) return true;
-    }
-    return false;
   }
 
   const Input& in_;
   const Options& options_;
   State& s_;
-  std::vector<Spoke> ring_;
+  Buffer<Spoke> ring_;
   std::vector<std::pair<int32_t, int>> edges_;  // (other end, row of ring_)
 };
 
@@ -277,9 +316,10 @@ void prepare(const Input& in, const Options& options, Pool& pool, State& s) {
   place_wedges(in, options, s);
   if (options.pair_distance > 0) add_links(static_cast<float>(options.pair_distance * s.scale), s);
   link_corners(s);
+  add_faces(options, pool, s);
   pool.range(in.vertex_count, kGrain, [&](int begin, int end) {
-    FirstQuadrics first(in, options, s);
-    for (int v = begin; v < end; ++v) first(v);
+    Surroundings look(in, options, s);
+    for (int v = begin; v < end; ++v) look(v);
   });
   s.cost.assign(in.vertex_count, kInfinity);
   s.partner.assign(in.vertex_count, kNone);
