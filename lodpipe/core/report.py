@@ -30,7 +30,7 @@ class StageReport:
 
 @dataclass
 class LevelReport:
-    """One level as `report.json` lists it; see docs/formats.md for the fields."""
+    """One level as `report.json` lists it; docs/output.md lists the fields."""
 
     level: int
     triangles: int

@@ -14,7 +14,7 @@ NOT_MEASURED = "not measured: the chain has no stage that does"
 
 
 def report_data(report: Report) -> dict[str, Any]:
-    """The report as plain data; docs/formats.md lists the fields."""
+    """The report as plain data; docs/output.md lists the fields."""
     data = dataclasses.asdict(report)
     for level in data["lods"]:
         for name in ("error", "visual", "switch"):
