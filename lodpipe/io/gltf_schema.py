@@ -134,6 +134,9 @@ def _refuse(constant: str) -> float:
 def check_shape(tree: Json) -> None:
     """Raise AssetError, with the place, where `tree` is not as SHAPE says or names a row that is not there."""
     for key, shape in SHAPE.items():
+        if isinstance(shape, list) and not isinstance(tree.get(key, []), list):
+            raise AssetError(f"must be an array, not {_kind(tree[key])}", place=key)
+    for key, shape in SHAPE.items():
         name = key.removesuffix("!")
         if name in tree:
             _check(tree[name], shape, name, tree)
@@ -171,9 +174,8 @@ def _check(value: Any, shape: Any, place: str, tree: Json) -> None:
         if not isinstance(value, list) or len(value) != shape[1] or not all(_is_number(v) for v in value):
             raise AssetError(f"must be an array of {shape[1]} numbers", place=place)
     elif isinstance(shape, str):
-        rows = tree.get(shape[2:], ())
-        if not _is_index(value) or not isinstance(rows, list) or value >= len(rows):
-            count = len(rows) if isinstance(rows, list) else 0
+        count = len(tree.get(shape[2:], ()))
+        if not _is_index(value) or value >= count:
             raise AssetError(f"must be a row of '{shape[2:]}', which has {count} (got {str(value)[:40]})", place=place)
     elif not (_is_index(value) if shape is int else _is_number(value) if shape is float else isinstance(value, shape)):
         raise AssetError(f"must be {_NAMES[shape]} (got {str(value)[:40]})", place=place)

@@ -63,9 +63,9 @@ class _Writer:
                     placing.rows[i].append(placing.rows[i][earlier])
                 else:
                     self._mesh(i, mesh, number, written, placing)
+        self._carried()
         place_meshes(tree, placing, coverages, self.warn)
         tree["meshes"] = written
-        self._carried()
         tree["materials"] = [copy.deepcopy(dict(m.gltf)) for m in self.asset.materials]
         images = settle_textures(tree, portable(self.asset.images, self.warn), [tree["materials"], tree["meshes"]])
         bin_name = f"{self.path.stem}.bin"

@@ -8,6 +8,7 @@ import threading
 import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,7 @@ def find_image(folder: Folder, name: str, *, uri: bool = False) -> Image:
 
     Raises LimitError for an image of too many pixels.
     """
-    base = name.replace("\\", "/").rpartition("/")[2]
+    base = (unquote(name) if uri else name).replace("\\", "/").rpartition("/")[2]
     try:
         data = folder.read_uri(name) if uri else folder.read(name)
         return read_image(data, folder.limits, uri=base)

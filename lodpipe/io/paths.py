@@ -57,7 +57,8 @@ class Folder:
             inside = target.is_relative_to(root)
             exists = inside and target.is_file()
         except (OSError, RuntimeError) as error:  # a name too long; a loop of links
-            raise AssetError(f"{shown} cannot be opened ({error})") from error
+            why = getattr(error, "strerror", None) or "a loop of links"
+            raise AssetError(f"{shown} cannot be opened ({why})") from error
         if not inside:
             raise AssetError(f"{shown} leads out of the asset's folder", advice=_ADVICE)
         if not exists:

@@ -56,12 +56,13 @@ def _binary(data: bytes, warn: Warn) -> NDArray[np.float32]:
 
 
 def _text(data: bytes, warn: Warn) -> F64:
-    lines = Lines(plain_text(data))
+    text = plain_text(data).lower()
+    lines = Lines(text)
     chosen = lines.starting(b"vertex")
     table, count = lines.table(chosen, b"vertex", 3)
     if len(chosen) % 3 or (count != 3).any():
         raise AssetError("its vertex lines are not threes of three numbers", advice="the file is cut off or damaged")
-    if not lines.starting(b"endsolid").size:
+    if b"endsolid" not in text[-1000:]:
         warn("the last line, endsolid, is missing: the file may be cut off")
     return table
 

@@ -96,18 +96,20 @@ class Lines:
         self.first = self.end.copy()
         some = self.words > 0
         self.first[some] = word[bound[some]]
-        self._codes = np.concatenate([codes, np.full(16, 32, np.uint8)])
+        padded = np.concatenate([codes, np.full(8, 32, np.uint8)])
+        # the eight bytes from each line's first word on, as one number
+        self._head = np.ndarray(len(data) + 1, "<u8", padded.data, 0, (1,))[self.first]
 
     def __len__(self) -> int:
         return len(self.start)
 
     def starting(self, keyword: bytes) -> NDArray[np.intp]:
-        """The lines, ascending, whose first word is `keyword`."""
-        hit = self.words > 0
-        for i, code in enumerate(keyword):
-            hit &= self._codes[self.first + i] == code
-        hit &= _SPACES[self._codes[self.first + len(keyword)]]
-        return np.flatnonzero(hit)
+        """The lines, ascending, whose first word is `keyword`, of at most seven letters."""
+        bits = 8 * len(keyword)
+        same = self._head & np.uint64((1 << bits) - 1) == int.from_bytes(keyword, "little")
+        found = np.flatnonzero(same)
+        whole_word: NDArray[np.bool_] = _SPACES[self._head[found] >> np.uint64(bits) & np.uint64(255)]
+        return found[whole_word]
 
     def text(self, lines: NDArray[np.intp]) -> bytes:
         """The chosen lines, ascending, each ended by \\n. Runs of neighbours are copied at once."""
