@@ -373,29 +373,52 @@ class Decimator {
     return !(on_boundary(w.near_v) && on_boundary(w.near_u));
   }
 
-  // Would a face of `ring` that stays turn over, or become a sliver, when its corner `moving` goes to x?
+  // Would a face of `ring` turn over, or become a sliver, when its corner `moving` goes to x?
   bool turns(const Buffer<int32_t>& ring, int32_t moving, Vec3 x) const {
     const Vec3 p = s_.vertices[moving].p;
-    for (const int32_t c : ring) {
-      const Face& f = s_.faces[face_of(c)];
-      if (f.link()) continue;
-      const int k = kNext[slot_of(c)];
-      const Vec3 q = s_.vertices[f.v[k]].p, r = s_.vertices[f.v[kNext[k]]].p;
-      const Vec3 e = r - q, old_side = p - q, new_side = x - q;
-      const Vec3 n0 = cross(e, old_side), n1 = cross(e, new_side);
-      const float size0 = dot(n0, n0), size1 = dot(n1, n1), cosine = dot(n0, n1);
-      const Vec3 third = x - r;
-      const float longest = std::max({dot(e, e), dot(new_side, new_side), dot(third, third)});
-      if (size1 < kLeastQuality * kLeastQuality * longest * longest) {
-        const Vec3 old_third = p - r;
-        const float before = std::max({dot(e, e), dot(old_side, old_side), dot(old_third, old_third)});
-        if (size1 * before * before < 0.25f * size0 * longest * longest) return true;  // it was none before
+    const Vec3* q[4];
+    const Vec3* r[4];
+    int count = 0;
+    for (size_t i = 0; i < ring.size(); ++i) {
+      const Face& f = s_.faces[face_of(ring[i])];
+      if (!f.link()) {
+        const int k = kNext[slot_of(ring[i])];
+        q[count] = &s_.vertices[f.v[k]].p, r[count] = &s_.vertices[f.v[kNext[k]]].p;
+        ++count;
       }
-      if (size0 > 1e-12f * longest * longest &&
-          (cosine <= 0 || cosine * cosine < options_.flip_cos * options_.flip_cos * size0 * size1))
-        return true;
+      if (count == 4 || (i + 1 == ring.size() && count)) {
+        for (int k = count; k < 4; ++k) q[k] = q[0], r[k] = r[0];
+        if (four_turn(p, x, q, r)) return true;
+        count = 0;
+      }
     }
     return false;
+  }
+
+  // The same for the triangles (p → x, q, r) in the lanes of a vector.
+  bool four_turn(Vec3 p, Vec3 x, const Vec3* const* q, const Vec3* const* r) const {
+    const Lanes qx{q[0]->x, q[1]->x, q[2]->x, q[3]->x}, qy{q[0]->y, q[1]->y, q[2]->y, q[3]->y},
+        qz{q[0]->z, q[1]->z, q[2]->z, q[3]->z};
+    const Lanes rx{r[0]->x, r[1]->x, r[2]->x, r[3]->x}, ry{r[0]->y, r[1]->y, r[2]->y, r[3]->y},
+        rz{r[0]->z, r[1]->z, r[2]->z, r[3]->z};
+    const Lanes ex = rx - qx, ey = ry - qy, ez = rz - qz;
+    const Lanes ox = p.x - qx, oy = p.y - qy, oz = p.z - qz, nx = x.x - qx, ny = x.y - qy, nz = x.z - qz;
+    const Lanes ax = ey * oz - ez * oy, ay = ez * ox - ex * oz, az = ex * oy - ey * ox;
+    const Lanes bx = ey * nz - ez * ny, by = ez * nx - ex * nz, bz = ex * ny - ey * nx;
+    const Lanes before = ax * ax + ay * ay + az * az, after = bx * bx + by * by + bz * bz;
+    const Lanes cosine = ax * bx + ay * by + az * bz;
+    const Lanes tx = x.x - rx, ty = x.y - ry, tz = x.z - rz, sx = p.x - rx, sy = p.y - ry, sz = p.z - rz;
+    const auto most = [](Lanes a, Lanes b) { return a > b ? a : b; };
+    const Lanes base = ex * ex + ey * ey + ez * ez;
+    const Lanes longest = most(most(base, nx * nx + ny * ny + nz * nz), tx * tx + ty * ty + tz * tz);
+    const Lanes longest_before = most(most(base, ox * ox + oy * oy + oz * oz), sx * sx + sy * sy + sz * sz);
+    const Lanes size = longest * longest, size_before = longest_before * longest_before;
+    // a sliver, and it was none before; or over the limit of the turn
+    const auto sliver = (after < kLeastQuality * kLeastQuality * size) & (after * size_before < 0.25f * before * size);
+    const auto turned = (before > 1e-12f * size) &
+                        ((cosine <= 0) | (cosine * cosine < options_.flip_cos * options_.flip_cos * before * after));
+    const auto bad = sliver | turned;
+    return bad[0] | bad[1] | bad[2] | bad[3];
   }
 
   void apply(int32_t rank, int32_t v, int32_t u, Vec3 x, float error, Scratch& w, Block& out) {

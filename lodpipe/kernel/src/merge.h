@@ -127,8 +127,6 @@ class Merge {
   void reset() { members_.clear(), groups_.clear(), links_.clear(); }
 
  private:
-  using Lanes = float __attribute__((vector_size(16)));
-
   // place() for four neighbours in the lanes of a vector; bit k of the result: lane k needs no fall-back.
   static int plane_costs(const Vertex& a, const Vertex* const b[4], Lanes* cost) {
     const auto pick = [&](auto field) { return Lanes{field(*b[0]), field(*b[1]), field(*b[2]), field(*b[3])}; };
@@ -216,8 +214,7 @@ class Merge {
           if (k < s.steering) shift(m, step, w);
           m.d -= step * w;
         }
-        Slope& sum = slopes_[g.first + k];
-        sum.x += m.x, sum.y += m.y, sum.z += m.z, sum.d += m.d;
+        slopes_[g.first + k] += m;
       }
     }
   }
@@ -228,8 +225,22 @@ class Merge {
     quadric.c -= step * (2 * m.d - step * weight);
   }
 
+  static int32_t wedge_of(const State& s, int32_t v) {
+    int32_t c = s.vertices[v].head;
+    while (s.faces[face_of(c)].dead()) c = s.faces[face_of(c)].next[slot_of(c)];
+    return s.wedges[face_of(c)].w[slot_of(c)];
+  }
+
   void group_wedges(const State& s, int32_t v, int32_t u) {
     of_u_.clear();
+    if (!((s.flags[v] | s.flags[u]) & kSeveralWedges) && !s.has_links) {  // by far the most
+      members_.push_back({wedge_of(s, v), 0});
+      members_.push_back({wedge_of(s, u), 0});
+      groups_.push_back({members_[0].first, 0, 0});
+      of_u_.push_back(0), of_u_.push_back(1);
+      own_.push_back(1);
+      return;
+    }
     const auto number = [&](int32_t wedge, bool of_u) {
       for (size_t i = 0; i < members_.size(); ++i)
         if (members_[i].first == wedge) return static_cast<int>(i);

@@ -2,6 +2,7 @@
 #pragma once
 #include <algorithm>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 #include "decimate.h"
@@ -83,9 +84,17 @@ inline int32_t face_of(int32_t corner) { return corner >> 2; }
 inline int slot_of(int32_t corner) { return corner & 3; }
 
 // Sum over faces of area · (gradient, offset) of one attribute: offset is taken at the vertex, less the wedge's value.
-struct Slope {
+struct alignas(16) Slope {
   float x = 0, y = 0, z = 0, d = 0;
   float at(Vec3 t) const { return x * t.x + y * t.y + z * t.z + d; }
+  Slope& operator+=(const Slope& o) {
+    Lanes a, b;
+    std::memcpy(&a, this, 16);
+    std::memcpy(&b, &o, 16);
+    a += b;
+    std::memcpy(this, &a, 16);
+    return *this;
+  }
 };
 
 struct State {
@@ -109,6 +118,7 @@ struct State {
   double center[3] = {0, 0, 0};
   double scale = 1;  // input units → unit diagonal
   int64_t triangles = 0;
+  bool has_links = false;
 };
 
 }  // namespace lodpipe

@@ -131,14 +131,22 @@ class FaceQuadrics {
     const float twice = length(across);
     if (!(twice > 0)) return;
     const Vec3 n = across * (1 / twice);
-    for (int k = 0; k < 3; ++k) s_.vertices[f.v[k]].q.add_plane(n, 0, plane_weight(p, k, twice / 2));
+    if (options_.weighting == Weighting::area) {
+      Quadric plane;
+      plane.add_plane(n, twice / 6);
+      for (const int32_t v : f.v) {
+        Quadric& q = s_.vertices[v].q;
+        q.xx += plane.xx, q.xy += plane.xy, q.xz += plane.xz, q.yy += plane.yy, q.yz += plane.yz, q.zz += plane.zz;
+      }
+    } else {
+      for (int k = 0; k < 3; ++k) s_.vertices[f.v[k]].q.add_plane(n, plane_weight(p, k, twice / 2));
+    }
     if (s_.columns) add_slopes(f, s_.wedges[face], cross(e2, n), cross(n, e1), twice);
   }
 
  private:
   float plane_weight(const Vec3* p, int k, float area) const {
     if (options_.weighting == Weighting::uniform) return 1;
-    if (options_.weighting == Weighting::area) return area / 3;
     const Vec3 a = p[(k + 1) % 3] - p[k], b = p[(k + 2) % 3] - p[k];
     const float cosine = dot(a, b) / std::max(length(a) * length(b), 1e-30f);
     return area * std::acos(std::clamp(cosine, -1.0f, 1.0f)) / 3.14159265f;
@@ -159,9 +167,10 @@ class FaceQuadrics {
     const Vec3 half1 = dual1 * (1.0f / 6), half2 = dual2 * (1.0f / 6);
     for (int k = 0; k < s_.columns; ++k) {
       const Vec3 g = half1 * (v1[k] - v0[k]) + half2 * (v2[k] - v0[k]);  // × weight
-      for (int i = 0; i < 3; ++i) slope[i][k].x += g.x, slope[i][k].y += g.y, slope[i][k].z += g.z;
+      const Slope add{g.x, g.y, g.z, 0};
+      for (int i = 0; i < 3; ++i) slope[i][k] += add;
       if (k < s_.steering)
-        for (int i = 0; i < 3; ++i) s_.vertices[f.v[i]].q.add_plane(g, 0, 1 / weight);
+        for (int i = 0; i < 3; ++i) s_.vertices[f.v[i]].q.add_plane(g, 1 / weight);
     }
   }
 
@@ -283,7 +292,7 @@ class Surroundings {
   void hold(Vertex& a, const Spoke& p, int32_t other, float weight) {
     const Vec3 e = s_.vertices[other].p - a.p;
     const float size = options_.weighting == Weighting::uniform ? 1.0f : dot(e, e);
-    a.q.add_plane(normalized(cross(e, normal(a, p))), 0, weight * size);
+    a.q.add_plane(normalized(cross(e, normal(a, p))), weight * size);
   }
 
   void weigh(Vertex& a, float importance) {
@@ -315,6 +324,7 @@ void prepare(const Input& in, const Options& options, Pool& pool, State& s) {
   place_faces(in, order_all(in, s), s);
   place_wedges(in, options, s);
   if (options.pair_distance > 0) add_links(static_cast<float>(options.pair_distance * s.scale), s);
+  s.has_links = static_cast<int64_t>(s.faces.size()) > s.triangles;
   link_corners(s);
   add_faces(options, pool, s);
   pool.range(in.vertex_count, kGrain, [&](int begin, int end) {

@@ -8,6 +8,8 @@
 
 namespace lodpipe {
 
+using Lanes = float __attribute__((vector_size(16)));  // four numbers in one register
+
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 struct Vec3 {
@@ -35,6 +37,11 @@ struct Quadric {
     xx += m.x * n.x, xy += m.x * n.y, xz += m.x * n.z, yy += m.y * n.y, yz += m.y * n.z, zz += m.z * n.z;
     bx += m.x * d, by += m.y * d, bz += m.z * d;
     c += w * d * d;
+  }
+  // w · (n·y)²
+  void add_plane(Vec3 n, float w) {
+    const Vec3 m = n * w;
+    xx += m.x * n.x, xy += m.x * n.y, xz += m.x * n.z, yy += m.y * n.y, yz += m.y * n.z, zz += m.z * n.z;
   }
   Quadric& operator+=(const Quadric& q) {
     xx += q.xx, xy += q.xy, xz += q.xz, yy += q.yy, yz += q.yz, zz += q.zz;
