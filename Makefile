@@ -103,6 +103,6 @@ $(SAMPLES): $(wildcard sample_assets/*.py) | $(NATIVE)
 $(VALIDATOR): $(READY) $(wildcard tests/io/validator/package.json)
 	@if command -v npm >/dev/null && [ -e tests/io/validator/package.json ]; then \
 		echo "setup: installing the glTF validator (npm)"; \
-		npm install --prefix tests/io/validator --no-audit --no-fund --silent || echo "setup: npm failed; its tests are skipped"; \
+		npm install --prefix tests/io/validator --no-package-lock --no-audit --no-fund --silent || echo "setup: npm failed; its tests are skipped"; \
 	fi
 	@touch $@
