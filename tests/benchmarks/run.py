@@ -85,7 +85,7 @@ def _enter_peers() -> None:
         BENCH_BPY=str(PEERS / "peers-bpy" / "bin" / "python"),
         PYTHONDONTWRITEBYTECODE="1",
     )
-    os.execve(python, [str(python), *sys.argv], env)  # noqa: S606 - the same program, another interpreter
+    os.execve(python, [str(python), *sys.argv], env)
 
 
 def _load_native(path: str) -> None:
@@ -114,10 +114,9 @@ def _peer(settings: dict[str, Any]) -> Any:
 
         def prepare() -> Mesh:
             positions, faces, _, kept = harness.weld(m.v, m.f)
+            owner = m.fm[kept] if m.fm is not None else None
             primitives = _primitives(len(m.mats), tuple(attributes))
-            return Mesh(
-                positions.astype(np.float64), faces, m.f[kept], attributes, m.fm[kept] if m.fm is not None else None, primitives
-            )
+            return Mesh(positions.astype(np.float64), faces, m.f[kept], attributes, owner, primitives)
 
         def call(source: Mesh) -> Mesh:
             return decimate(source, target, threads=threads, **own)
