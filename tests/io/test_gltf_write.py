@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import model_files as files
 from lodpipe import io
@@ -268,3 +270,33 @@ def test_files_that_cannot_be_written_are_one_line(tmp_path: Path) -> None:
         io.save(Asset("x", (mesh,)), tmp_path / "missing" / "x.glb")
     with pytest.raises(OutputError, match="not a model format"):
         io.save(Asset("x", (mesh,)), tmp_path / "x.fbx")
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.sampled_from(["glb", "gltf"]))
+def test_any_mesh_comes_back(tmp_path_factory: pytest.TempPathFactory, seed: int, parts: int, suffix: str) -> None:
+    """Random faces, wedges and primitives: each corner keeps its place and its values."""
+    rng = np.random.default_rng(seed)
+    count, rows = int(rng.integers(1, 40)), int(rng.integers(3, 20))
+    points = rng.normal(size=(rows, 3)).astype(np.float32)
+    faces = np.array([rng.choice(rows, 3, replace=False) for _ in range(count)])
+    faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]
+    owner = np.sort(rng.integers(0, parts, len(faces)))
+    # a wedge for each position and primitive, and one more for every other face
+    wedges = faces + rows * (2 * owner + np.arange(len(faces)) % 2)[:, None]
+    values = {
+        "TEXCOORD_0": rng.normal(size=(rows * 2 * parts, 2)),
+        "COLOR_0": rng.random(size=(rows * 2 * parts, 3)) ** 3,
+        "_ID": rng.integers(0, 1 << 20, (rows * 2 * parts, 1)),
+    }
+    uses = [tuple(n for n in values if rng.random() < 0.5) for _ in range(parts)]
+    primitives = tuple(Primitive(None, names) for names in uses)
+    mesh = Mesh(points, faces, wedges, values, owner, primitives, "m")
+    path = tmp_path_factory.getbasetemp() / f"any.{suffix}"
+    again = io.load(io.save(Asset("x", (mesh,)), path)[0]).meshes[0]
+    assert np.array_equal(again.positions[again.faces], points[faces])
+    there = np.unique(owner).tolist()
+    for new, old in enumerate(there):
+        assert again.primitives[new].attributes == uses[old]
+        for name in uses[old]:
+            got = again.attributes[name][again.wedges[again.face_primitive == new]]
+            assert np.array_equal(got, mesh.attributes[name][wedges[owner == old]]), name
