@@ -173,7 +173,8 @@ class _Joined:
         vertex_start, face_start = [0], [0]
         for i, matrix in zip(used, matrices, strict=True):
             mesh = asset.meshes[i]
-            positions.append(mesh.positions @ matrix[:3, :3].T + matrix[:3, 3])
+            identity = np.array_equal(matrix, np.eye(4))
+            positions.append(mesh.positions if identity else mesh.positions @ matrix[:3, :3].T + matrix[:3, 3])
             faces.append(mesh.faces + np.int32(vertices))
             own, rows = _wedges(mesh)
             wedges.append(own + np.int32(corners))
@@ -227,19 +228,27 @@ class _Joined:
 
     def lod(self, asset: Asset, level: kernel.Level, goal: Target, reason: str) -> Lod:
         meshes = list(asset.meshes)
+        owner = np.searchsorted(self.face_start, level.face_source, side="right") - 1
+        order = np.argsort(owner, kind="stable") if len(self.used) > 1 else np.arange(len(owner))
+        bounds = np.searchsorted(owner[order], np.arange(len(self.used) + 1))
         for number, index in enumerate(self.used):
-            meshes[index] = self._mesh(asset.meshes[index], number, level)
+            rows = order[bounds[number] : bounds[number + 1]]
+            meshes[index] = self._mesh(asset.meshes[index], number, level, rows)
         span = self.positions.max(axis=0) - self.positions.min(axis=0) if len(self.positions) else np.ones(3)
         estimate = 100 * level.error / max(float(np.linalg.norm(span)), 1e-300)
         return Lod(meshes=tuple(meshes), target=goal, stop_reason=reason, estimate=estimate, relaxed=level.relaxed)
 
-    def _mesh(self, source: Mesh, number: int, level: kernel.Level) -> Mesh:
-        """The part of the level that came from one mesh, in that mesh's own space, materials and attributes."""
-        first, last = self.face_start[number], self.face_start[number + 1]
-        mine = (level.face_source >= first) & (level.face_source < last)
-        origin = level.face_source[mine] - first
-        vertices, faces = np.unique(level.faces[mine], return_inverse=True)
-        rows, wedges = np.unique(level.wedges[mine], return_inverse=True)
+    def _mesh(self, source: Mesh, number: int, level: kernel.Level, mine: Any) -> Mesh:
+        """The part of the level (rows `mine` of its faces) that came from one mesh, in that mesh's own space."""
+        origin = level.face_source[mine] - self.face_start[number]
+        vertices: Any
+        rows: Any
+        if len(self.used) == 1:  # the level's own numbers have no gaps
+            vertices, faces = np.arange(len(level.positions)), level.faces
+            rows, wedges = np.arange(len(level.values)), level.wedges
+        else:
+            vertices, faces = np.unique(level.faces[mine], return_inverse=True)
+            rows, wedges = np.unique(level.wedges[mine], return_inverse=True)
         matrix = self.matrices[number]
         old = level.vertex_source[vertices] - self.vertex_start[number]
         moved = level.vertex_source[vertices] < 0
