@@ -242,7 +242,9 @@ class _Joined:
         """The part of the level (rows `mine` of its faces) that came from one mesh, in that mesh's own space."""
         origin = level.face_source[mine] - self.face_start[number]
         vertices: Any
+        faces: Any
         rows: Any
+        wedges: Any
         if len(self.used) == 1:  # the level's own numbers have no gaps
             vertices, faces = np.arange(len(level.positions)), level.faces
             rows, wedges = np.arange(len(level.values)), level.wedges
