@@ -125,6 +125,8 @@ class Asset:
     """The file that it was read from."""
     members: tuple[Path, ...] = ()
     """Every file that was read, the asset's own first (buffers, images, material libraries)."""
+    missing: tuple[str, ...] = ()
+    """Files that it names and that were not there, relative to its folder: when one turns up, the asset is another."""
     format: str = ""
     """glb, gltf, obj, ply, stl or off."""
     warnings: tuple[str, ...] = ()

@@ -90,10 +90,14 @@ class Mesh:
         }.items():
             object.__setattr__(self, key, value)
 
-    @property
+    @cached_property
     def wedge_count(self) -> int:
         """Number of wedges that the faces use (glTF's vertex count)."""
-        return len(np.unique(self.wedges)) if len(self.wedges) else 0
+        if not len(self.wedges):
+            return 0
+        used = np.zeros(int(self.wedges.max()) + 1, bool)
+        used[self.wedges] = True
+        return int(np.count_nonzero(used))
 
     @cached_property
     def face_material(self) -> I32:

@@ -53,9 +53,9 @@ def topology_defects(mesh: Mesh) -> TopologyDefects:
     used = np.zeros(len(mesh.positions), bool)
     used[faces] = True
     labels = components(faces, len(mesh.positions))
-    flat = _flat(_doubled_areas(mesh.positions, faces), _longest(mesh.positions, faces))
     distinct = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
     corners = np.sort(distinct, axis=1)
+    sorted_corners = corners[np.lexsort(corners.T)]
     half = np.concatenate([distinct[:, [0, 1]], distinct[:, [1, 2]], distinct[:, [2, 0]]]).astype(np.int64)
     edge = half.min(axis=1) * len(mesh.positions) + half.max(axis=1)
     order = np.argsort(edge, kind="stable")
@@ -67,15 +67,15 @@ def topology_defects(mesh: Mesh) -> TopologyDefects:
         boundary_edges=int((count == 1).sum()),
         nonmanifold_edges=int((count > 2).sum()),
         inconsistent_winding=int((forward[pairs] == forward[pairs + 1]).sum()) if len(pairs) else 0,
-        degenerate_faces=int(flat.sum()),
-        duplicate_faces=len(corners) - len(np.unique(corners, axis=0)),
+        degenerate_faces=int(_without_area(mesh).sum()),
+        duplicate_faces=int((sorted_corners[1:] == sorted_corners[:-1]).all(axis=1).sum()),
         unused_positions=int((~used).sum()),
     )
 
 
 def uv_defects(mesh: Mesh) -> list[UvDefects]:
     """Count the simple defects of each of `mesh`'s UV sets; TEXCOORD_0 is always among them."""
-    solid = ~_flat(_doubled_areas(mesh.positions, mesh.faces), _longest(mesh.positions, mesh.faces))
+    solid = ~_without_area(mesh)
     names = sorted({"TEXCOORD_0", *(name for name in mesh.attributes if name.startswith("TEXCOORD_"))})
     return [_uv_set(mesh, name, solid) for name in names]
 
@@ -110,33 +110,22 @@ def _uv_set(mesh: Mesh, name: str, solid: NDArray[np.bool_]) -> UvDefects:
     outside = ((uv < 0) | (uv > 1)).any(axis=(1, 2))
     a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    longest = np.maximum(np.maximum((a**2).sum(axis=1), (b**2).sum(axis=1)), ((a - b) ** 2).sum(axis=1))
-    zero = _flat(area, longest) & solid
+    zero = _flat(area, a, b) & solid
     return UvDefects(name, int((~has).sum()), int((outside & has).sum()), int((zero & has).sum()))
 
 
-def _flat(area: F64, longest: F64) -> NDArray[np.bool_]:
-    flat: NDArray[np.bool_] = area <= FLAT * longest
+def _without_area(mesh: Mesh) -> NDArray[np.bool_]:
+    """(F,) which faces have no area, whatever the mesh's size."""
+    corners = [mesh.positions[mesh.faces[:, k]] for k in range(3)]
+    a, b = corners[1] - corners[0], corners[2] - corners[0]
+    largest = np.maximum(np.abs(a).max(axis=1, initial=0), np.abs(b).max(axis=1, initial=0))[:, None]
+    scale = np.where(largest > 0, largest, 1.0)  # so that squares neither overflow nor vanish
+    a, b = a / scale, b / scale
+    return _flat(np.sqrt((np.cross(a, b) ** 2).sum(axis=1)), a, b)
+
+
+def _flat(doubled_area: F64, a: F64, b: F64) -> NDArray[np.bool_]:
+    """Whether triangles with the edges `a` and `b` are flat."""
+    longest = np.maximum(np.maximum((a**2).sum(axis=1), (b**2).sum(axis=1)), ((a - b) ** 2).sum(axis=1))
+    flat: NDArray[np.bool_] = doubled_area <= FLAT * longest
     return flat
-
-
-def _scaled(positions: F64, faces: I32) -> F64:
-    """(F, 3, 3) corners, moved and scaled so that their squares neither overflow nor vanish."""
-    corners = positions[faces]
-    edges = corners - corners[:, :1]
-    largest = np.abs(edges).max(axis=(1, 2), keepdims=True) if len(edges) else np.ones((0, 1, 1))
-    return edges / np.where(largest > 0, largest, 1.0)
-
-
-def _doubled_areas(positions: F64, faces: I32) -> F64:
-    corners = _scaled(positions, faces)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    areas: F64 = np.sqrt((normal**2).sum(axis=1))
-    return areas
-
-
-def _longest(positions: F64, faces: I32) -> F64:
-    """Square of each face's longest edge, in the same scale."""
-    corners = _scaled(positions, faces)
-    sides = np.stack([((corners[:, k] - corners[:, k - 1]) ** 2).sum(axis=1) for k in range(3)])
-    return sides.max(axis=0) if sides.size else np.zeros(0)

@@ -22,6 +22,8 @@ class Folder:
     """The asset's own file."""
     limits: Limits
     members: list[Path] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    """Names that the asset gives, with slashes, and that are not there."""
     _bytes: int = 0
 
     def read_asset(self) -> bytes:
@@ -62,6 +64,7 @@ class Folder:
         if not inside:
             raise AssetError(f"{shown} leads out of the asset's folder", advice=_ADVICE)
         if not exists:
+            self.missing.append(parts)
             raise AssetError(f"{shown} is missing", advice="put the file beside the asset")
         return target
 

@@ -82,6 +82,7 @@ def _load(path: Path, limits: Limits) -> Asset:
         lods=(Lod(asset.meshes),),
         path=path,
         members=tuple(folder.members),
+        missing=tuple(dict.fromkeys(folder.missing)),
         format=asset.format or suffix[1:],
         warnings=tuple(warnings),
     )

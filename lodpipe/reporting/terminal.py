@@ -12,6 +12,15 @@ from lodpipe.reporting.table import Style, clean, number, size, table
 
 REDRAW_SECONDS = 0.1
 _COLOURS = {"ok": "green", "unchanged": "green", "warnings": "yellow", "over_budget": "red"}
+_WORDS = {
+    "ok": "ok",
+    "unchanged": "unchanged",
+    "warnings": "with warnings",
+    "over_budget": "over budget",
+    "failed": "failed",
+    "bug": "failed by a bug",
+}
+_FAILED = ".failed"
 
 
 class Result(Protocol):
@@ -115,7 +124,7 @@ class JsonDisplay(Display):
 
 def summary(result: Result, style: Style) -> list[str]:
     """The lines about one asset that was processed."""
-    word = style(result.outcome.replace("_", " "), _COLOURS.get(result.outcome, "red"))
+    word = style(_WORDS[result.outcome], _COLOURS.get(result.outcome, "red"))
     report = result.report or {}
     if result.outcome == "unchanged":
         return [clean(f"{result.place}: ") + word + clean(f", {result.folder} is up to date")]
@@ -140,10 +149,10 @@ def totals(results: Sequence[Result], seconds: float, style: Style) -> str:
     counts: dict[str, int] = {}
     for result in results:
         counts[result.outcome] = counts.get(result.outcome, 0) + 1
-    parts = [
-        style(f"{count} {outcome.replace('_', ' ')}", _COLOURS.get(outcome, "red")) for outcome, count in counts.items()
-    ]
-    return f"{len(results)} assets: {', '.join(parts)} ({seconds:.1f} s)"
+    parts = [style(f"{count} {_WORDS[outcome]}", _COLOURS.get(outcome, "red")) for outcome, count in counts.items()]
+    records = {result.folder.partition(_FAILED)[0] + _FAILED for result in results if _FAILED in result.folder}
+    where = f"; why: {', '.join(map(clean, sorted(records)))}" if records else ""
+    return f"{len(results)} assets: {', '.join(parts)} ({seconds:.1f} s){where}"
 
 
 def _levels(report: dict[str, Any]) -> list[str]:

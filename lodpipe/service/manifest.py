@@ -23,6 +23,7 @@ _NO_INFLUENCE = ("threads", "limits")
 
 def write(folder: Path, asset: Asset, pipeline: Pipeline, place: str, outcome: str, versions: dict[str, str]) -> None:
     """Describe the folder as it stands; `asset` is the one that was read, with its members."""
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path != folder / NAME]
     home = asset.members[0].parent if asset.members else Path()
     inputs = [_entry(path, home) for path in asset.members]
     data = {
@@ -32,11 +33,11 @@ def write(folder: Path, asset: Asset, pipeline: Pipeline, place: str, outcome: s
         "outcome": outcome,
         "fingerprint": fingerprint(inputs, pipeline),
         "inputs": inputs,
-        "missing": sorted({image.uri for image in asset.images if image.problem and image.uri}),
+        "missing": sorted(asset.missing),
         "config": pipeline.resolved(),
         "stages": [_version(step.stage) for step in pipeline.steps],
         "versions": versions,
-        "files": [_entry(path, folder) for path in sorted(folder.rglob("*")) if path.is_file()],
+        "files": [_entry(path, folder) for path in files],
     }
     (folder / NAME).write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
 

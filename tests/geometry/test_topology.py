@@ -81,6 +81,8 @@ def test_uv_defects_are_counted():
     assert uv_defects(uv_mesh(square)) == [UvDefects("TEXCOORD_0", 0, 0, 0)]
     assert uv_defects(uv_mesh([[0, 0], [0, 1], [1, 0], [1.5, 1]])) == [UvDefects("TEXCOORD_0", 0, 2, 0)]
     assert uv_defects(uv_mesh([[0.5, 0.5]] * 4)) == [UvDefects("TEXCOORD_0", 0, 0, 2)]
+    point = Mesh(np.zeros((3, 3)), [[0, 1, 2]], attributes={"TEXCOORD_0": np.zeros((3, 2), np.float32)})
+    assert uv_defects(point) == [UvDefects("TEXCOORD_0", 0, 0, 0)]
 
 
 def test_missing_uvs_are_counted_by_primitive():

@@ -103,7 +103,8 @@ def run(out, err, **options):
         display.progress("duck", 0, "load", 0.0)
         display.progress("duck", 1, "decimate", 0.5)
         display.finished(Result(report=report()))
-        display.finished(Result(place="cow", outcome="failed", message="cow.obj: load: no triangles"))
+        failed = Result(place="cow", outcome="failed", folder="out/.failed/cow", message="cow.obj: load: no triangles")
+        display.finished(failed)
 
 
 def test_without_a_terminal_there_are_plain_lines():
@@ -111,7 +112,9 @@ def test_without_a_terminal_there_are_plain_lines():
     run(out, err)
     assert err.getvalue() == "[1/2] duck: load\n[1/2] duck: decimate\nerror: cow.obj: load: no triangles\n"
     assert out.getvalue().splitlines()[0] == "duck: ok, 1.2 s, in out/duck"
-    assert out.getvalue().splitlines()[-1].startswith("2 assets: 1 ok, 1 failed (")
+    last = out.getvalue().splitlines()[-1]
+    assert last.startswith("2 assets: 1 ok, 1 failed (")
+    assert last.endswith(" s); why: out/.failed")
     assert "\x1b" not in out.getvalue() + err.getvalue()
 
 

@@ -25,7 +25,7 @@ def plugins(tmp_path):
 def published(tmp_path, plugins):
     """An OBJ with its MTL, which names a texture that is not there, and a folder that was made of it."""
     source = write_obj(tmp_path / "in" / "a.obj")
-    source.write_text("mtllib a.mtl\nusemtl red\n" + source.read_text().replace("f ", "vt 0 0\nf ", 1))
+    source.write_text("mtllib a.mtl\nmtllib b.mtl\nusemtl red\n" + source.read_text().replace("f ", "vt 0 0\nf ", 1))
     (source.parent / "a.mtl").write_text(MTL.format("red.png"))
     folder = tmp_path / "out"
     (folder / "LOD0").mkdir(parents=True)
@@ -43,7 +43,7 @@ def test_what_it_says(published):
     folder, _, pipeline = published
     data = json.loads((folder / manifest.NAME).read_text())
     assert [entry["path"] for entry in data["inputs"]] == ["a.obj", "a.mtl"]
-    assert data["missing"] == ["red.png"]
+    assert data["missing"] == ["b.mtl", "red.png"]
     assert [(entry["path"], entry["size"]) for entry in data["files"]] == [("LOD0/a_LOD0.glb", 5)]
     assert data["files"][0]["sha256"] == "9372c470eeadd5ecd9c3c74c2b3cb633f8e2f2fad799250a0f70d652b6b825e4"
     assert data["config"] == pipeline.resolved()
@@ -57,6 +57,16 @@ def test_the_same_again_is_current_and_so_is_a_touched_file(published):
     assert current(published)
 
 
+def test_a_broken_texture_is_not_a_missing_one(published):
+    folder, source, pipeline = published
+    (source.parent / "red.png").write_text("no image")
+    (source.parent / "b.mtl").write_text("")
+    manifest.write(folder, io.load(source), pipeline, "a", "ok", {})
+    assert current(published)["missing"] == []
+    (source.parent / "red.png").write_text("another one")
+    assert current(published) is None
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -64,6 +74,7 @@ def test_the_same_again_is_current_and_so_is_a_touched_file(published):
         lambda folder, source: (source.parent / "a.mtl").write_text(MTL.format("rad.png")),
         lambda folder, source: (source.parent / "a.mtl").unlink(),
         lambda folder, source: (source.parent / "red.png").write_text("there now"),
+        lambda folder, source: (source.parent / "b.mtl").write_text("there now"),
         lambda folder, source: (folder / "LOD0" / "a_LOD0.glb").write_text("other"),
         lambda folder, source: (folder / "LOD0" / "a_LOD0.glb").unlink(),
         lambda folder, source: (folder / manifest.NAME).unlink(),

@@ -31,8 +31,10 @@ def names(context: Context) -> list[str]:
 
 
 def test_each_level_in_each_format(tmp_path):
-    context = Context(output=tmp_path)
+    told = []
+    context = Context(output=tmp_path, progress=lambda done, total: told.append(done / total))
     export(levels(), ExportParams(formats=("glb", "stl", "glb")), context)
+    assert told == [0.25, 0.5, 0.75, 1.0]
     assert names(context) == [f"LOD{n}/box_LOD{n}.{kind}" for n in (0, 1) for kind in ("glb", "stl")]
     assert {n: [path.as_posix() for path in paths] for n, paths in context.files.items()} == {
         0: ["LOD0/box_LOD0.glb", "LOD0/box_LOD0.stl"],
