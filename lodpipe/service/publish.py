@@ -39,7 +39,7 @@ class Output:
         """Remove what runs that crashed have left behind, and put back a revision that one was replacing."""
         for path in sorted(self.state.glob("*-*")):
             with _lock(path) as owned:
-                if not owned:
+                if owned is not True:
                     continue
                 place = path / "place.txt"
                 if path.name.startswith("old-") and place.is_file():
@@ -51,15 +51,19 @@ class Output:
     @contextlib.contextmanager
     def workspace(self) -> Iterator[Path]:
         """A new folder on the same file system, locked while it is in use and gone afterwards."""
-        try:
-            path = Path(tempfile.mkdtemp(prefix="tmp-", dir=self.state))
-        except OSError as error:
-            raise _unwritable(self.root, error) from error
-        with _lock(path):
+        while True:
             try:
-                yield path
-            finally:
-                shutil.rmtree(path, ignore_errors=True)
+                path = Path(tempfile.mkdtemp(prefix="tmp-", dir=self.state))
+            except OSError as error:
+                raise _unwritable(self.root, error) from error
+            with _lock(path) as owned:
+                if owned is False or not path.is_dir():
+                    continue  # another process has swept it away before it was locked
+                try:
+                    yield path
+                finally:
+                    shutil.rmtree(path, ignore_errors=True)
+                return
 
     def check_place(self, place: PurePosixPath) -> None:
         """Raise OutputError if publishing at `place` would remove files that lodpipe did not write."""
@@ -141,8 +145,11 @@ def _exchange(a: Path, b: Path) -> bool:
 
 
 @contextlib.contextmanager
-def _lock(folder: Path) -> Iterator[bool]:
-    """Hold the lock of a folder, which the system releases when its owner dies; yields whether it was free."""
+def _lock(folder: Path) -> Iterator[bool | None]:
+    """Hold the lock of a folder, which the system releases when its owner dies.
+
+    Yields whether it was free, None where the file system has no locks.
+    """
     try:
         handle = os.open(folder, os.O_RDONLY)
     except FileNotFoundError:
@@ -151,8 +158,10 @@ def _lock(folder: Path) -> Iterator[bool]:
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             yield False
+        except OSError:
+            yield None
         else:
             yield True
     finally:

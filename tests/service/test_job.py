@@ -101,13 +101,13 @@ def test_over_budget_is_published_and_said(make):
         (
             {"fail": {"how": "slow"}},
             "failed",
-            "{path}: fail: took longer than the limit of 0.005 minutes;"
+            "{path}: fail: took longer than the limit of 0.02 minutes;"
             " raise limits.minutes, or simplify the model first",
         ),
     ],
 )
 def test_a_failure_leaves_a_record_and_nothing_else(make, tmp_path, stage, outcome, line):
-    job = make("thin", stage, "export", limits={"memory_gb": 2, "minutes": 0.005 if "slow" in str(stage) else 1})
+    job = make("thin", stage, "export", limits={"memory_gb": 2, "minutes": 0.02 if "slow" in str(stage) else 1})
     failed = tmp_path / "out" / ".failed" / "sub" / "a"
     got = process(job)
     assert got.outcome == outcome

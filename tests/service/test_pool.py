@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -69,10 +70,9 @@ def test_one_that_hangs_is_ended(make, tmp_path, monkeypatch):
     monkeypatch.setattr(pool, "GRACE_SECONDS", 0.0)
     begin = time.monotonic()
     (outcome,) = run_isolated([make("hang", {"fail": {"how": "hang"}}, limits={"minutes": 0.025})], 1, nothing)
-    assert outcome.message == (
-        f"{tmp_path}/in/hang.obj: fail: took longer than the limit of 0.025 minutes;"
-        " raise limits.minutes, or simplify the model first"
-    )
+    # a busy machine may not even have got to the stage that hangs
+    cause = "took longer than the limit of 0.025 minutes; raise limits.minutes, or simplify the model first"
+    assert re.fullmatch(rf"{re.escape(str(tmp_path))}/in/hang\.obj: \w+: {re.escape(cause)}", outcome.message)
     assert time.monotonic() - begin < 30
     assert outcome.outcome == "failed"
     assert list((tmp_path / "out" / ".lodpipe").iterdir()) == []

@@ -104,6 +104,35 @@ def test_a_workspace_is_gone_afterwards_whatever_happens(tmp_path):
     assert state(output) == []
 
 
+def test_a_workspace_that_another_process_sweeps_at_once_is_made_anew(tmp_path, monkeypatch):
+    output = Output(tmp_path / "out")
+    made = []
+    make = publish.tempfile.mkdtemp
+
+    def swept(**options):
+        made.append(make(**options))
+        if len(made) == 1:
+            Output(tmp_path / "out").sweep()
+        return made[-1]
+
+    monkeypatch.setattr(publish.tempfile, "mkdtemp", swept)
+    with output.workspace() as folder:
+        assert folder.is_dir()
+    assert len(made) == 2
+
+
+def test_without_locks_a_workspace_works_and_nothing_is_swept(tmp_path, monkeypatch):
+    def no_locks(handle, flags):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(publish.fcntl, "flock", no_locks)
+    output = Output(tmp_path / "out")
+    with output.workspace() as folder:
+        output.sweep()
+        assert folder.is_dir()
+    assert state(output) == []
+
+
 HOLD = """
 import sys, time
 from pathlib import Path
