@@ -77,18 +77,17 @@ class Camera:
 
         In the coordinates ``(world − centre) / scale``, so that single precision serves everywhere.
         """
-        right, up, back = self.axes
+        right, up, back = (axis.astype(np.float32) for axis in self.axes)
         x = ((np.arange(width) + 0.5) / width * 2 - 1) * (width / height)
         y = 1 - (np.arange(height)[rows] + 0.5) / height * 2
-        shift = x[None, :, None] * right + y[:, None, None] * up
-        shift = shift.reshape(-1, 3)
-        start = (self.position - centre) / scale
+        across: F32 = x.astype(np.float32)[None, :, None] * right
+        shift: F32 = (across + y.astype(np.float32)[:, None, None] * up).reshape(-1, 3)
+        start: F32 = ((self.position - centre) / scale).astype(np.float32)
         if self.fov is None:
-            origins = start + shift * (self.height / 2 / scale)
-            return origins.astype(np.float32), np.broadcast_to(-back, shift.shape).astype(np.float32)
-        directions = shift * np.tan(np.radians(self.fov / 2)) - back
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        return np.broadcast_to(start, shift.shape).astype(np.float32), directions.astype(np.float32)
+            return start + shift * np.float32(self.height / 2 / scale), np.broadcast_to(-back, shift.shape)
+        directions = shift * np.float32(np.tan(np.radians(self.fov / 2))) - back
+        directions /= np.sqrt(np.einsum("nd,nd->n", directions, directions))[:, None]
+        return np.broadcast_to(start, shift.shape), directions
 
     def pixel_size(self, height: int, scale: float) -> tuple[float, float]:
         """(a, b): a pixel of a picture `height` pixels high covers a + b·distance, in units of `scale`."""

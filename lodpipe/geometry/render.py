@@ -80,7 +80,7 @@ def render(
     for top in range(0, height, step):
         rows = slice(top, min(top + step, height))
         fine = slice(rows.start * supersample, rows.stop * supersample)
-        premultiplied = _band(model, camera, columns, lines, fine, mode, wireframe, cull)
+        premultiplied = _band(model, camera, columns, lines, fine, mode, supersample if wireframe else 0, cull)
         shape = (rows.stop - rows.start, supersample, width, supersample, 4)
         picture[rows] = _finished(premultiplied.reshape(shape).mean(axis=(1, 3), dtype=np.float32), background)
     return picture
@@ -170,10 +170,8 @@ def _layers(
             return
 
 
-def _band(
-    model: Model, camera: Camera, width: int, height: int, rows: slice, mode: Mode, wireframe: bool, cull: bool
-) -> F32:
-    """(N, 4) float32 linear RGB times alpha, and alpha, of the pixels of `rows`."""
+def _band(model: Model, camera: Camera, width: int, height: int, rows: slice, mode: Mode, wire: int, cull: bool) -> F32:
+    """(N, 4) float32 linear RGB times alpha, and alpha, of the pixels of `rows`; wires `wire` pixels wide."""
     result = np.zeros((width * (rows.stop - rows.start), 4), np.float32)
     clay = mode == "clay"
     for layer in _layers(model, camera, width, height, rows, only_alpha=clay, cull=cull):
@@ -182,8 +180,8 @@ def _band(
         if not clay:
             shade[model.unlit(layer.spots)] = 1.0
         lit = colour * shade[:, None]
-        if wireframe:
-            lit += (WIRE - lit) * _wires(model, layer.spots)[:, None]
+        if wire:
+            lit += (WIRE - lit) * _wires(model, layer.spots, wire)[:, None]
         alpha = layer.rgba[:, 3] * (1 - result[layer.rays, 3])
         result[layer.rays, :3] += lit * alpha[:, None]
         result[layer.rays, 3] += alpha
@@ -199,8 +197,8 @@ def _light(normals: F32, directions: F32, camera: Camera) -> F32:
     return shade
 
 
-def _wires(model: Model, spots: Spots) -> F32:
-    """(N,) float32: how much of a pixel the nearest edge of its triangle covers, for lines about a pixel wide."""
+def _wires(model: Model, spots: Spots, width: int) -> F32:
+    """(N,) float32: how much of a pixel the nearest edge of its triangle covers, drawn `width` pixels wide."""
     corners = model.corners(spots.faces)
     along = spots.directions[:, None]
     flat = corners - np.einsum("nkd,nxd->nk", corners, along)[:, :, None] * along  # as the ray sees the triangle
@@ -209,7 +207,7 @@ def _wires(model: Model, spots: Spots) -> F32:
     normal = np.cross(opposite[:, 0], opposite[:, 1])
     doubled = np.sqrt(np.einsum("nd,nd->n", normal, normal))
     distance = (spots.weights * doubled[:, None] / np.maximum(lengths, 1e-30)).min(axis=1) / spots.pixel
-    covered: F32 = np.clip(np.float32(1.1) - distance, 0.0, 1.0) * np.float32(0.85)
+    covered: F32 = np.clip(np.float32(0.5 + 0.55 * width) - distance, 0.0, 1.0) * np.float32(0.85)
     return covered
 
 

@@ -1,0 +1,78 @@
+"""Pictures of models and their levels, side by side: ``python docs/make_pictures.py [-o FOLDER] ASSET…``.
+
+For each asset one sheet: above the source and the levels as they look, below with their triangles' edges. Without an
+asset: the picture in README.md (docs/images/lods.png), of the sample animal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+import lodpipe
+from lodpipe.core.asset import Asset, Target
+from lodpipe.core.errors import AssetError
+from lodpipe.geometry.camera import Camera
+from lodpipe.geometry.decimate import decimate_asset
+from lodpipe.geometry.render import render
+from lodpipe.geometry.sheet import contact_sheet, png_bytes
+from lodpipe.geometry.surface import Model
+from lodpipe.geometry.texture import Textures
+from lodpipe.io import decode_image
+
+ROOT = Path(__file__).parent.parent
+RATIOS = (0.5, 0.25, 0.1, 0.02)
+DIRECTION = (0.75, 0.3, 1.0)
+
+
+def textures(asset: Asset) -> Textures:
+    """The asset's images, decoded; those that cannot be are left out."""
+    pixels = {}
+    for index, image in enumerate(asset.images):
+        try:
+            pixels[index] = decode_image(image)
+        except AssetError as error:
+            print(f"left out: {error}", file=sys.stderr)
+    return Textures(pixels)
+
+
+def sheet(
+    asset: Asset, ratios: Sequence[float] = RATIOS, size: int = 480, direction: Sequence[float] = DIRECTION
+) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    """The source and a level for each of `ratios` from one direction; the second row has wires."""
+    levels = decimate_asset(asset, [Target(ratio=ratio) for ratio in ratios])
+    images = textures(asset)
+    models = [Model(asset, level.meshes, images) for level in levels]
+    source = models[0]
+    camera = Camera.around(source.centre, source.radius * 0.97, direction)
+    pictures = [render(model, camera, size, size, supersample=3) for model in models]
+    pictures += [render(model, camera, size, size, supersample=3, wireframe=True, mode="clay") for model in models]
+    labels = [f"{level.triangles:,} triangles" for level in levels]
+    labels += ["source", *(f"{100 * ratio:g} %" for ratio in ratios)]
+    return contact_sheet(pictures, labels, columns=len(levels))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write the sheets."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("assets", nargs="*", type=Path)
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/pictures"))
+    parser.add_argument("--size", type=int, default=480, help="width of one picture in pixels")
+    parser.add_argument("--view", type=float, nargs=3, default=DIRECTION, metavar=("X", "Y", "Z"), help="seen from")
+    options = parser.parse_args(arguments)
+    jobs = [(path, options.output / f"{path.stem}.png", options.size, RATIOS) for path in options.assets]
+    if not jobs:
+        jobs = [(ROOT / "sample_assets" / "animal.glb", ROOT / "docs" / "images" / "lods.png", 260, RATIOS)]
+    for path, target, size, ratios in jobs:
+        picture = sheet(lodpipe.load(path), ratios, size, options.view)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(png_bytes(picture))
+        print(target)
+
+
+if __name__ == "__main__":
+    main()
