@@ -64,7 +64,7 @@ def _undo(deltas: NDArray[np.uint8], base: NDArray[np.uint8], kind: int) -> NDAr
     if kind & 15 == 2:  # exclusive or of 32-bit values, rotated
         turn = np.uint32(kind >> 4)
         coded = packed.view("<u4")[:, 0]
-        steps = (coded << turn) | (coded >> ((np.uint32(32) - turn) & np.uint32(31)))
+        steps = (coded >> turn) | (coded << ((np.uint32(32) - turn) & np.uint32(31)))  # the encoder turned left
         values = np.bitwise_xor.accumulate(steps) ^ base.view("<u4")[0]
         undone: NDArray[np.uint8] = values.astype("<u4")[:, None].view(np.uint8)
         return undone

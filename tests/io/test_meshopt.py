@@ -167,6 +167,24 @@ STREAMS = [
             "9AEAAAMAAABwEQEAAgAAAAEAAAAAAAAAEAAAABEAAAASAAAA"
         ),
     ),
+    (
+        "rotated0",
+        "ATTRIBUTES",
+        "NONE",
+        18,
+        4,
+        "oZoCD6jeHzPwYBoPDw8DAA4MAAAAAAAAAAAAAAAAAAAAAAAAAFOsUUcC",
+        "U6xRR1OsXkdTrFRHU6xcR1OsUUdTrF9HU6xeR1OsUUdTrFJHU6xRR1OsXkdTrF5HU6xYR1OsWEdTrFlHU6xTR1OsXUdTrFFH",
+    ),
+    (
+        "rotated5",
+        "ATTRIBUTES",
+        "NONE",
+        18,
+        4,
+        "oakCAbagABcPUjUPAwAHCAAAAAAAAAAAAAAAAAAAAAAAAAAgBFoBUg==",
+        "IARaASAEWgkgBFpRIARaYSAEWjEgBFoxIARaMSAEWjEgBFo5IARaASAEWgEgBFp5IARaUSAEWkEgBFpZIARacSAEWkkgBFoJ",
+    ),
 ]
 BY_NAME = {row[0]: row for row in STREAMS}
 

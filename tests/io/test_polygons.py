@@ -40,12 +40,11 @@ def test_triangles_cover_the_polygon_once(corners: int, inner: float, turn: int)
 
 
 def test_a_concave_quadrilateral_is_cut_at_its_reflex_corner() -> None:
-    dart = np.array([[0, 0, 0], [0.2, 0.2, 0], [0, 1, 0], [-1, 0.0, 0]])[[3, 0, 1, 2]]
+    dart = np.array([[0, 0, 0], [2, 1, 0], [0, 2, 0], [0.5, 1, 0]])
     for turn in range(4):
         shape = np.roll(dart, turn, axis=0)
         faces, _, _ = cut(shape)
-        signs = np.sign(areas(shape, faces))
-        assert (signs == signs[0]).all() and signs[0] != 0
+        assert (areas(shape, faces) > 0).all()
 
 
 def test_polygons_of_all_sizes_keep_their_order() -> None:
