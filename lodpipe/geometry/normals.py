@@ -20,7 +20,7 @@ def face_normals(positions: F64 | F32, faces: I32) -> F64:
 
 
 def crease_normals(positions: F64 | F32, faces: I32, angle: float = 60.0) -> F32:
-    """(F, 3, 3) float32: a unit normal for each corner of each face.
+    """(F, 3, 3) float32: a unit normal for each corner of each face; it may be zero where a face has no area.
 
     A corner's normal is the mean of the faces around its vertex that are turned from its own face by at most `angle`
     degrees, each weighted by its angle at the vertex (Thürmer & Wüthrich 1998), so that smooth parts are smooth
@@ -42,8 +42,6 @@ def crease_normals(positions: F64 | F32, faces: I32, angle: float = 60.0) -> F32
     rows = np.flatnonzero(creased[owner]).astype(np.int32)
     if len(rows):
         normals.reshape(-1, 3)[rows] = _means_within(flat, weight.ravel(), owner, rows, np.cos(np.radians(angle)))
-    empty = ~normals.any(axis=2)
-    normals[empty] = np.broadcast_to(flat[:, None], normals.shape)[empty]
     return normals.astype(np.float32)
 
 

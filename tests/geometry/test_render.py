@@ -142,6 +142,7 @@ def test_glass_lets_colours_through():
     linear = np.array([0.25 + 0.75 * 0.25, 0, 0.75 * 0.75])
     expected = np.where(linear > 0, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055, 0) * 255
     np.testing.assert_allclose(picture(asset)[8, 8], expected, atol=1)
+    assert buffers(Model(asset), FRONT, 4, 4).depth == pytest.approx(2.0, rel=1e-4)  # the first surface
 
 
 def test_alpha_of_an_opaque_material_means_nothing():
@@ -274,18 +275,36 @@ def test_a_missing_texture_leaves_the_factor():
 
 
 def test_parts_with_and_without_what_a_material_wants():
-    """One primitive has no UV, no normals and no colours: it shows its factor, shaded by its own triangles."""
+    """One primitive has no UV and no colours: it shows its factor."""
     positions, faces = grid(1)
     attributes = {
         "TEXCOORD_0": np.full((4, 2), 0.1, np.float32),
         "COLOR_0": np.full((4, 4), 0.0, np.float32),
-        "NORMAL": np.zeros((4, 3), np.float32),
     }
     primitives = (Primitive(material=0, attributes=tuple(attributes)), Primitive(material=0))
     mesh = Mesh(positions, faces, None, attributes, np.array([0, 1], np.int32), primitives)
     asset = Asset("two", (mesh,), (Material({**UNLIT, **textured()}),), document={"textures": [{"source": 0}]})
-    image = picture(asset, np.full((4, 4, 3), 255, np.uint8))
+    image = picture(asset, np.zeros((4, 4, 3), np.uint8))
     assert (image[12, 12].tolist(), image[3, 3].tolist()) == ([0, 0, 0], [255, 255, 255])
+
+
+def test_parts_with_and_without_normals():
+    """What stands in the columns of a primitive without normals is not taken for one."""
+    positions, faces = grid(1)
+    sideways = {"NORMAL": np.tile(np.array([1, 0, 0.01], np.float32), (4, 1))}
+    primitives = (Primitive(attributes=("NORMAL",)), Primitive())
+    mesh = Mesh(positions, faces, None, sideways, np.array([0, 1], np.int32), primitives)
+    image = render(Model(Asset("two", (mesh,))), FRONT, 16, 16)
+    plain = render(Model(Asset("one", (Mesh(positions, faces),))), FRONT, 16, 16)
+    assert image[3, 3, 0] == plain[3, 3, 0] > image[12, 12, 0] + 50
+
+
+def test_nearest_texels_where_the_sampler_says_so():
+    seen = [
+        len(np.unique(picture(scene(square(), materials=[textured()], samplers=[{"magFilter": mode}]), size=64)))
+        for mode in (9728, 9729)
+    ]
+    assert seen[0] == 2 < seen[1]
 
 
 def test_which_image_a_texture_means():
