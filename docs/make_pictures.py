@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     jobs = [(path, options.output / f"{path.stem}.png", options.size, RATIOS) for path in options.assets]
     if not jobs:
-        jobs = [(ROOT / "sample_assets" / "animal.glb", ROOT / "docs" / "images" / "lods.png", 260, RATIOS)]
+        jobs = [(ROOT / "sample_assets" / "animal.glb", ROOT / "docs" / "images" / "lods.png", 250, RATIOS)]
     for path, target, size, ratios in jobs:
         picture = sheet(lodpipe.load(path), ratios, size, options.view)
         target.parent.mkdir(parents=True, exist_ok=True)

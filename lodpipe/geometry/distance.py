@@ -82,16 +82,15 @@ def distance_between(a: Soup, b: Soup, samples: int = 100_000, seed: int = 0, th
     return _both_ways(_Surface(a, frame, options), _Surface(b, frame, options))
 
 
-def sample_surface(positions: F32, faces: I32, count: int, seed: int) -> tuple[F32, I32]:
-    """`count` points spread evenly by area over the triangles: positions (count, 3) and their faces (count,).
+def sample_surface(positions: F32, faces: I32, area: F32, count: int, seed: int) -> tuple[F32, I32]:
+    """`count` points spread evenly by `area` (F,) over the triangles: positions (count, 3), their faces (count,).
 
     One random point in each of `count` equal shares of the area, in the order of the faces: less noise than
     independent points, and neighbours follow one another, which closest-point searches like. Surfaces without
     area are sampled by face.
     """
-    area = np.concatenate([face_sizes(positions, faces[i : i + BATCH])[0] for i in range(0, len(faces), BATCH)])
     if not area.any():
-        area[:] = 1.0
+        area = np.ones_like(area)
     until = np.cumsum(area, dtype=np.float64)
     rng = np.random.default_rng(seed)
     picked = np.searchsorted(until, (np.arange(count) + rng.random(count)) / count * until[-1], side="right")
@@ -136,14 +135,23 @@ class _Surface:
         """The search structure and, where it holds pieces of faces, the face that each piece is of."""
         from lodpipe.o3d import RayScene
 
-        positions, faces, parents = split_slivers(self.positions, self.faces)
+        positions, faces, parents = split_slivers(self.positions, self.faces, *self._sizes)
         return RayScene(positions, faces, self._options.threads), parents
+
+    @cached_property
+    def _sizes(self) -> tuple[F32, F32]:
+        return face_sizes(self.positions, self.faces)
 
     @cached_property
     def samples(self) -> tuple[F32, I32]:
         """Points spread over the surface, and the faces that they lie on."""
         count = min(self._options.samples, SAMPLES_PER_FACE * len(self.faces))
-        return sample_surface(self.positions, self.faces, count, self._options.seed)
+        return sample_surface(self.positions, self.faces, self._sizes[0], count, self._options.seed)
+
+    @cached_property
+    def sample_normals(self) -> F64:
+        """The unit normals at the samples."""
+        return self.normals(self.samples[1])
 
     @cached_property
     def vertices(self) -> tuple[F32, I32]:
@@ -219,13 +227,13 @@ class _Deviation(NamedTuple):
 
 
 def _one_way(a: _Surface, b: _Surface) -> _Deviation:
-    points, own_faces = a.samples
+    points, _ = a.samples
     distance, faces = b.closest(points)
     return _Deviation(
         mean=float(distance.mean()),
         rms=float(np.sqrt(np.square(distance).mean())),
         max=_largest(a, b, distance),
-        normal_degrees=_normal_deviation(points, a.normals(own_faces), distance, faces, b),
+        normal_degrees=_normal_deviation(points, a.sample_normals, distance, faces, b),
     )
 
 
@@ -263,7 +271,7 @@ def _normal_deviation(points: F32, normals: F64, distance: F64, faces: I32, othe
     return float(np.degrees(np.arccos(np.clip(cosine[defined], -1.0, 1.0))).mean())
 
 
-def split_slivers(positions: F32, faces: I32) -> tuple[F32, I32, I32 | None]:
+def split_slivers(positions: F32, faces: I32, doubled_area: F32, longest_edge: F32) -> tuple[F32, I32, I32 | None]:
     """Halve long slivers, until single precision finds their closest points or there are 100,000 pieces more.
 
     A closest point's barycentric coordinates lose what a triangle's length exceeds its height by: the point is off
@@ -271,10 +279,7 @@ def split_slivers(positions: F32, faces: I32) -> tuple[F32, I32, I32 | None]:
     Returns positions and faces for the search, and the face of which each row is a piece (None: nothing was split).
     Faces without area are left out unless there are no others: their edges are their neighbours'.
     """
-    weak, flat = np.empty(len(faces), bool), np.empty(len(faces), bool)
-    for start in range(0, len(faces), BATCH):
-        part = slice(start, start + BATCH)
-        weak[part], flat[part] = _sliver(positions, faces[part])
+    weak, flat = _slivers(doubled_area, longest_edge)
     if not weak.any() and (not flat.any() or flat.all()):
         return positions, faces, None
     keep = ~flat
@@ -291,27 +296,29 @@ def split_slivers(positions: F32, faces: I32) -> tuple[F32, I32, I32 | None]:
         positions = np.concatenate([positions, (positions[a] + positions[b]) * np.float32(0.5)])
         faces = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
         parents = np.concatenate([parents, parents])
-        weak, _ = _sliver(positions, faces)
+        weak, _ = _slivers(*face_sizes(positions, faces))
         done.append(faces[~weak])
         owners.append(parents[~weak])
         faces, parents = faces[weak], parents[weak]
     return positions, np.concatenate([*done, faces]), np.concatenate([*owners, parents])
 
 
-def _sliver(positions: F32, faces: I32) -> tuple[Bool, Bool]:
+def _slivers(doubled_area: F32, longest_edge: F32) -> tuple[Bool, Bool]:
     """Which faces need halving, and which have no area."""
-    doubled, longest = face_sizes(positions, faces)
-    flat = doubled <= 1e-7 * longest**2
-    return ~flat & (1.2e-7 * longest**3 > 1e-6 * doubled), flat
+    flat = doubled_area <= 1e-7 * longest_edge**2
+    return ~flat & (1.2e-7 * longest_edge**3 > 1e-6 * doubled_area), flat
 
 
 def face_sizes(positions: F32, faces: I32) -> tuple[F32, F32]:
     """Twice the area, and the longest edge, of each of `faces` (N, 3): (N,) float32 each."""
-    a, b, c = (positions[faces[:, k]] for k in range(3))
-    ab, ac, bc = (b - a).T, (c - a).T, (c - b).T
-    normal = ab[1] * ac[2] - ab[2] * ac[1], ab[2] * ac[0] - ab[0] * ac[2], ab[0] * ac[1] - ab[1] * ac[0]
-    doubled: F32 = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-    longest: F32 = np.sqrt(np.max([edge[0] ** 2 + edge[1] ** 2 + edge[2] ** 2 for edge in (ab, ac, bc)], axis=0))
+    doubled, longest = np.empty(len(faces), np.float32), np.empty(len(faces), np.float32)
+    for start in range(0, len(faces), BATCH):
+        part = slice(start, start + BATCH)
+        a, b, c = (positions[faces[part, k]] for k in range(3))
+        ab, ac, bc = (b - a).T, (c - a).T, (c - b).T
+        normal = ab[1] * ac[2] - ab[2] * ac[1], ab[2] * ac[0] - ab[0] * ac[2], ab[0] * ac[1] - ab[1] * ac[0]
+        doubled[part] = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+        longest[part] = np.sqrt(np.max([e[0] ** 2 + e[1] ** 2 + e[2] ** 2 for e in (ab, ac, bc)], axis=0))
     return doubled, longest
 
 

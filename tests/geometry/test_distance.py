@@ -58,7 +58,8 @@ def brute_figures(a, b, samples):
     diagonal = np.linalg.norm(np.ptp(a[0], axis=0))
     results = []
     for (positions, faces), other in ((a, b), (b, a)):
-        points, _ = sample_surface(positions.astype(np.float32), faces, samples, seed=0)
+        single = positions.astype(np.float32)
+        points, _ = sample_surface(single, faces, face_sizes(single, faces)[0], samples, seed=0)
         distance = brute_distance(points, *other)
         results.append(
             (distance.mean(), np.square(distance).mean(), distance.max(), brute_distance(positions, *other).max())
@@ -193,19 +194,19 @@ def test_slivers_do_not_blur_the_distance():
 def test_pieces_of_slivers_cover_them_and_know_their_face():
     positions = np.array([[0, 0, 0], [0.5, 0, 0], [0.2, 1e-4, 0], [0, 0.3, 0], [0.1, 0, 0]], np.float32)
     faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], np.int32)  # a sliver, a good one, one without area
-    points, pieces, parents = split_slivers(positions, faces)
+    points, pieces, parents = split_slivers(positions, faces, *face_sizes(positions, faces))
     assert set(parents) == {0, 1}
     assert len(pieces) > 10
     assert face_sizes(points, pieces[parents == 0])[0].sum() == pytest.approx(
         face_sizes(positions, faces)[0][0], rel=1e-3
     )
-    assert split_slivers(positions, faces[1:2])[2] is None
+    assert split_slivers(positions, faces[1:2], *face_sizes(positions, faces[1:2]))[2] is None
 
 
 def test_samples_are_spread_by_area():
     positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [3, 0, 0]], np.float32)
     faces = np.array([[0, 1, 2], [1, 3, 2], [0, 0, 1]], np.int32)
-    points, picked = sample_surface(positions, faces, 3000, seed=1)
+    points, picked = sample_surface(positions, faces, face_sizes(positions, faces)[0], 3000, seed=1)
     assert np.bincount(picked, minlength=3).tolist() == pytest.approx([1000, 2000, 0], abs=1)
     first = points[picked == 0]
     np.testing.assert_allclose(first.mean(axis=0), [1 / 3, 1 / 3, 0], atol=0.02)
