@@ -121,7 +121,7 @@ def messy():
     """A bumpy sphere with doubled, turned over, collapsed and needle-like faces, doubled and unused positions."""
     points, faces = sphere(2)
     count = len(points)
-    points = np.concatenate([points, points[:5], [[9, 9, 9], [0, 0, 0.5]]])
+    points = np.concatenate([points, points[:5], [[0.1, 0.2, 0.3], [0, 0, 0.5]]])
     bad = [
         faces[0],
         faces[0],

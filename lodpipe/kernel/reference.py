@@ -253,7 +253,7 @@ class State:
     ) -> None:
         self.options = options or QuadricOptions()
         self.faces, self.wedges = faces.copy(), (faces if wedges is None else wedges).copy()
-        self.live = _solid(faces)
+        self.alive = np.isin(np.arange(len(faces)), _solid(faces))
         used = positions[np.unique(faces[self.live])] if self.live else np.zeros((1, 3))
         low, high = used.min(axis=0), used.max(axis=0)
         self.center, self.diagonal = (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
@@ -288,12 +288,17 @@ class State:
         edges = self.edges()  # the others of the valid pairs: GH97, section 4
         self.near = [p for p in pairs if p not in edges and np.linalg.norm(self.p[p[0]] - self.p[p[1]]) < reach]
 
+    @property
+    def live(self) -> list[int]:
+        return np.flatnonzero(self.alive).tolist()
+
     def edges(self) -> dict[tuple[int, int], list[int]]:
         return _edges(self.faces, self.live)
 
     def at(self, *vertices: int) -> list[int]:
         """Faces that have all of the vertices as corners."""
-        return [f for f in self.live if set(vertices) <= set(self.faces[f].tolist())]
+        have = [(self.faces == v).any(axis=1) for v in vertices]
+        return np.flatnonzero(np.all([self.alive, *have], axis=0)).tolist()
 
     def ring(self, v: int) -> set[int]:
         """Neighbours of v along edges."""
@@ -398,7 +403,7 @@ class State:
                 table[kept] += table[gone].sum(axis=0)
             self.values[kept] = s
             self.wedges[np.isin(self.wedges, gone)] = kept
-        self.live = sorted(set(self.live) - set(self.at(v, u)))
+        self.alive[self.at(v, u)] = False
         self.faces[self.faces == u] = v
         moved = {(min(a, b), max(a, b)) for a, b in ([v if end == u else end for end in p] for p in self.near)}
         self.near = sorted(p for p in moved if p[0] != p[1])

@@ -1,0 +1,262 @@
+"""The readable kernel against the papers, and the native kernel against the readable one."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lodpipe import kernel
+from lodpipe.kernel import PLACEMENTS, WEIGHTINGS, QuadricOptions, reference
+from lodpipe.kernel.reference import Quadric
+from meshes import book, bow_tie, box, bumpy, folded, grid, messy, moebius, terrain, triangle, uv_sphere
+
+UNIT = np.eye(3)
+numbers = st.floats(-2, 2, allow_nan=False, width=32)
+
+
+# ------------------------------------------------------------------------------------------------------- the papers
+
+
+def test_a_plane_quadric_is_the_squared_distance_to_the_plane():
+    plane = Quadric.of_plane(np.array([0.6, 0.0, 0.8]), -2.0)
+    assert plane.at(np.array([2.0, 7.0, 3.0])) == pytest.approx((1.2 + 2.4 - 2.0) ** 2)
+    assert (plane + plane * 2).at(np.array([1.0, 0.0, 0.0])) == pytest.approx(3 * 1.4**2)
+
+
+def some_face(seed: int, columns: int):
+    """A random triangle and attributes at its corners, linear over space."""
+    rng = np.random.default_rng(seed)
+    corners, slope, start = rng.normal(size=(3, 3)), rng.normal(size=(columns, 3)), rng.normal(size=columns)
+    return corners, corners @ slope.T + start, rng
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_both_attribute_quadrics_vanish_on_the_face_and_only_there(seed):
+    corners, values, rng = some_face(seed, columns=3)
+    for make in (reference.attribute_quadric, reference.attribute_quadric_gh98):
+        quadric = make(corners, values)
+        for at in [*UNIT, rng.dirichlet([1, 1, 1]), np.array([3.0, -1.0, -1.0])]:  # the last: in the plane, outside
+            assert quadric.at(np.concatenate([at @ corners, at @ values])) == pytest.approx(0, abs=1e-9)
+        assert quadric.at(np.concatenate([UNIT[0] @ corners, UNIT[0] @ values + 1])) > 0.01
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_gh98_measures_at_right_angles_what_hoppe_measures_along_the_axes(seed):
+    """With σ the largest singular value of the attributes' gradients: GH98 ≤ H99 ≤ (1 + σ²) GH98."""
+    corners, values, rng = some_face(seed, columns=2)
+    steepest = np.linalg.norm(reference.gradients(corners, values)[0], 2)
+    hoppe, gh98 = reference.attribute_quadric(corners, values), reference.attribute_quadric_gh98(corners, values)
+    for point in rng.normal(size=(50, 5)):
+        assert gh98.at(point) <= hoppe.at(point) * (1 + 1e-9)
+        assert hoppe.at(point) <= (1 + steepest**2) * gh98.at(point) * (1 + 1e-9)
+
+
+def test_attributes_that_do_not_change_make_both_quadrics_equal():
+    corners, values = some_face(0, columns=2)[0], np.full((3, 2), 0.7)
+    hoppe, gh98 = reference.attribute_quadric(corners, values), reference.attribute_quadric_gh98(corners, values)
+    assert np.allclose(hoppe.A, gh98.A) and np.allclose(hoppe.b, gh98.b) and hoppe.c == pytest.approx(gh98.c)
+
+
+def test_hoppes_rows_for_attributes_are_diagonal():
+    """What makes it sparse, and lets every wedge of a vertex have rows of its own."""
+    corners, values = some_face(1, columns=3)[:2]
+    assert np.array_equal(reference.attribute_quadric(corners, values).A[3:, 3:], np.eye(3))
+    assert np.abs(np.triu(reference.attribute_quadric_gh98(corners, values).A[3:, 3:], 1)).max() > 0.01
+
+
+def test_the_minimum_falls_back_to_the_segment_and_to_its_middle():
+    p, q = np.zeros(3), np.array([1.0, 0.0, 0.0])
+    three = [Quadric.of_plane(UNIT[k], -at) for k, at in enumerate((0.3, 0.2, 0.1))]
+    everywhere = three[0] + three[1] + three[2]
+    assert reference.minimise(everywhere, p, q) == pytest.approx([0.3, 0.2, 0.1], abs=1e-3)
+    far_off = Quadric.of_plane(UNIT[0], -9.0) + Quadric.of_plane(UNIT[1], 0.0) + Quadric.of_plane(UNIT[2], 0.0)
+    assert np.array_equal(reference.minimise(far_off, p, q), q)  # its minimum lies at x = 9
+    assert reference.minimise(three[0], p, q) == pytest.approx([0.3, 0.0, 0.0], abs=1e-3)
+    assert np.array_equal(reference.minimise(Quadric.of_plane(UNIT[1], 0.0), p, q), [0.5, 0.0, 0.0])
+    assert np.array_equal(reference.minimise(Quadric.zero(), p, q), [0.5, 0.0, 0.0])
+
+
+def test_planes_of_a_box_meet_in_its_corners():
+    for weighting in WEIGHTINGS:
+        options = QuadricOptions(weighting=weighting, crease_weight=0.0)
+        quadrics = reference.plane_quadrics(*box(), options)
+        for corner, quadric in zip(box()[0], quadrics, strict=True):
+            assert quadric.at(corner) == pytest.approx(0, abs=1e-12)
+            assert np.allclose(np.linalg.solve(quadric.A, -quadric.b), corner)
+
+
+def test_angle_weights_do_not_depend_on_how_a_square_is_cut():
+    quadrics = reference.plane_quadrics(*box(), QuadricOptions(weighting="area-angle", crease_weight=0.0))
+    for quadric in quadrics:
+        assert np.allclose(np.diag(quadric.A), 0.25)  # three right angles; area ½ · π/2 / π for each
+
+
+@pytest.mark.parametrize(("degrees", "expected"), [(45.0, 0.0), (75.0, 2.5)])
+def test_sharp_edges_alone_are_creases(degrees, expected):
+    options = QuadricOptions(weighting="uniform", boundary_weight=0.0, crease_weight=2.5, crease_degrees=60.0)
+    positions, faces = folded(2, degrees)
+    at_fold = reference.plane_quadrics(positions, faces, options)[4]  # the middle vertex: six faces, two fold edges
+    assert at_fold.trace == pytest.approx(6 + 4 * expected)
+
+
+# ------------------------------------------------------------------------------------------- native against readable
+
+
+def assert_same_costs(positions, faces, options, **arrays):
+    """Native and readable costs agree to 1e-5, and to what 32-bit floats can tell of such an edge."""
+    native = kernel.edge_costs(positions, faces, options, **arrays)
+    state = reference.State(positions, faces, options, **arrays)
+    expected = {pair: state.merge(*pair) for pair in [*state.edges(), *state.near]}
+    rows = {(int(min(pair)), int(max(pair))): i for i, pair in enumerate(native.edges)}
+    assert rows.keys() == expected.keys() and len(rows) == len(native.edges)
+    for pair, merge in expected.items():
+        cost = native.cost[rows[pair]]
+        if merge.cost == np.inf:
+            assert cost == np.inf
+            continue
+        along = state.p[pair[0]] - state.p[pair[1]]
+        total = state.q[pair[0]] + state.q[pair[1]]
+        size = total.trace * (float(along @ along) + 1e-9)
+        assert cost == pytest.approx(merge.cost, rel=1e-5, abs=3e-6 * size), pair
+        place = (native.positions[rows[pair]] - state.center) / state.diagonal
+        ends = state.p[list(pair)]
+        at_an_end = (
+            (merge.x == ends).all(axis=1).any()
+        )  # which one is a matter of the last bit where they cost the same
+        off = np.linalg.norm(place - (ends if at_an_end else merge.x), axis=-1).min()
+        assert off <= 1e-2 * np.linalg.norm(along) + 1e-6, pair
+
+
+@pytest.mark.parametrize(("placement", "weighting"), zip(PLACEMENTS, ("area", "uniform", "area-angle"), strict=True))
+@pytest.mark.parametrize("mesh", [bumpy, terrain, moebius, messy, book, bow_tie, triangle, grid, box, folded])
+def test_costs_of_named_meshes(mesh, placement, weighting):
+    positions, faces = mesh(*{bumpy: (1,), terrain: (4,), folded: (4,), moebius: (12, 3)}.get(mesh, ()))
+    options = QuadricOptions(
+        placement=placement, weighting=weighting, boundary_weight=3.0, seam_weight=2.0, crease_weight=0.5
+    )
+    assert_same_costs(positions, faces, options)
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
+def test_costs_with_seams_materials_and_attributes(placement):
+    sphere = uv_sphere(6, 8, materials=2)
+    rng = np.random.default_rng(3)
+    assert_same_costs(
+        sphere.positions * (1 + 0.2 * rng.random((len(sphere.positions), 1))),
+        sphere.faces,
+        QuadricOptions(placement=placement, seam_weight=0.7),
+        wedges=sphere.wedges,
+        values=sphere.values,
+        column_weights=[0.3, 0.2, 0.1, 0.1, 0.1, 0.0, 0.5, 0.5, 0.0],
+    )
+
+
+@st.composite
+def cases(draw):
+    """A small random surface with everything that may be said about it."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    positions, faces = draw(st.sampled_from([bumpy(1, 0.5), terrain(4, 0.3), moebius(8, 2), book(), box()]))
+    positions = positions + rng.normal(size=positions.shape) * 0.05
+    used, faces = np.unique(faces[rng.random(len(faces)) < draw(st.sampled_from([1.0, 0.8]))], return_inverse=True)
+    positions, faces = positions[used], faces.reshape(-1, 3).astype(np.int32)
+    charts = draw(st.integers(1, 3))
+    columns = draw(st.integers(0, 4))
+    chart = rng.integers(0, charts, len(faces))
+    arrays = {
+        "wedges": (faces + len(positions) * chart[:, None]).astype(np.int32),
+        "values": rng.normal(size=(charts * len(positions), columns)).astype(np.float32),
+        "column_weights": rng.choice([0.0, 0.1, 1.0], columns).tolist(),
+    }
+    if draw(st.booleans()):
+        arrays["importance"] = np.exp(rng.normal(size=len(positions))).astype(np.float32)
+    if draw(st.booleans()):
+        arrays["locked"] = rng.random(len(positions)) < 0.3
+    options = QuadricOptions(
+        placement=draw(st.sampled_from(PLACEMENTS)),
+        weighting=draw(st.sampled_from(WEIGHTINGS)),
+        boundary_weight=draw(st.sampled_from([0.0, 0.1, 10.0])),
+        seam_weight=draw(st.sampled_from([0.0, 1.0])),
+        crease_weight=draw(st.sampled_from([0.0, 1.0])),
+        crease_degrees=draw(st.sampled_from([20.0, 60.0])),
+        pair_distance=draw(st.sampled_from([0.0, 0.0, 0.3])),
+        attribute_cost=draw(st.booleans()),
+    )
+    return positions, faces, options, arrays
+
+
+@settings(max_examples=40)
+@given(cases())
+def test_costs_of_random_meshes(case):
+    positions, faces, options, arrays = case
+    assert_same_costs(positions, faces, options, **arrays)
+
+
+@pytest.mark.slow
+@settings(max_examples=1000)
+@given(cases())
+def test_costs_of_many_random_meshes(case):
+    positions, faces, options, arrays = case
+    assert_same_costs(positions, faces, options, **arrays)
+
+
+def textured_case():
+    sphere = uv_sphere(6, 10, materials=2)
+    rough = sphere.positions * (1 + 0.05 * np.random.default_rng(1).random((len(sphere.positions), 1)))
+    weights = [0.1] * 2 + [0.05] * 3 + [0.1] * 4
+    return rough, sphere.faces, {"wedges": sphere.wedges, "values": sphere.values, "column_weights": weights}
+
+
+def rough_terrain():
+    positions, faces = terrain(5, 0.2)
+    positions[:, 2] += 0.05 * np.random.default_rng(1).random(len(positions))
+    return positions, faces, {}
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
+@pytest.mark.parametrize(
+    ("case", "target"),
+    [(lambda: (*bumpy(2), {}), 40), (rough_terrain, 20), (textured_case, 50)],
+    ids=["closed", "open", "textured"],
+)
+def test_one_collapse_at_a_time_is_the_paper_s_order(case, target, placement):
+    """With rounds of one vertex the kernel makes the very collapses that the textbook loop makes."""
+    positions, faces, arrays = case()
+    options = QuadricOptions(
+        placement=placement, round_share=0.0, may_relax=False, boundary_weight=10, seam_weight=1, crease_weight=0.1
+    )
+    level = kernel.decimate(positions, faces, [target], options, **arrays).levels[0]
+    state = reference.decimate(positions, faces, target, options, **arrays)
+    assert np.array_equal(np.sort(level.face_source), state.live)
+    assert level.error == pytest.approx(state.errors[state.faces[state.live]].max() * state.diagonal, rel=1e-4)
+    rows = np.argsort(level.face_source)
+    places = state.p[state.faces[state.live]] * state.diagonal + state.center
+    assert level.positions[level.faces[rows]] == pytest.approx(places, abs=1e-3)
+    if arrays:
+        ends = state.values[state.wedges[state.live]] / state.scale
+        assert level.values[level.wedges[rows]] == pytest.approx(ends, abs=2e-3)
+
+
+@pytest.mark.parametrize("reason", ["error", "seams", "locked", "flip"])
+def test_the_same_guards_hold(reason):
+    """Where the textbook loop is stopped by a guard, the kernel is stopped at the same number of triangles."""
+    positions, faces = bumpy(2)
+    options = QuadricOptions(placement="endpoint", round_share=0.0, may_relax=False, crease_weight=0.0, seam_weight=0.0)
+    arrays: dict = {}
+    if reason == "error":
+        options = dataclasses.replace(options, max_error=0.03)
+    if reason == "flip":
+        options = dataclasses.replace(options, flip_degrees=10.0)
+    if reason == "locked":
+        arrays["locked"] = positions[:, 2] > 0
+    if reason == "seams":
+        arrays["wedges"] = np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
+        arrays["values"] = np.zeros((3 * len(faces), 1), np.float32)
+        arrays["column_weights"] = [0.0]
+    level = kernel.decimate(positions, faces, [0], options, **arrays).levels[0]
+    state = reference.decimate(positions, faces, 0, options, **arrays)
+    assert 0 < len(level.faces) == len(state.live)
+    assert np.array_equal(np.sort(level.face_source), state.live)
