@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodpipe.core.asset import Asset, ErrorFigures
 from lodpipe.core.errors import InvalidMesh
@@ -19,6 +20,8 @@ from lodpipe.geometry.flatten import Bool, Soup, flatten
 
 if TYPE_CHECKING:
     from lodpipe.o3d import RayScene
+
+I64 = NDArray[np.int64]
 
 BATCH = 1 << 18
 """Points asked about at once, which bounds the memory of a question to about 30 MB."""
@@ -154,12 +157,16 @@ class _Surface:
         return self.normals(self.samples[1])
 
     @cached_property
-    def vertices(self) -> tuple[F32, I32]:
-        """The vertices that faces use, and one face of each."""
+    def vertices(self) -> tuple[F32, I64, F32]:
+        """The vertices that faces use; for each the number of a sample near it, and the way there."""
+        points, own_faces = self.samples
         face_of = np.zeros(len(self.positions), np.int32)
         face_of[self.faces] = np.arange(len(self.faces), dtype=np.int32)[:, None]
         used = self._soup.used
-        return self.positions[used], face_of[used]
+        first = np.searchsorted(own_faces, np.arange(len(self.faces)))  # each face's first sample, or the next face's
+        near = np.minimum(first, len(points) - 1)[face_of[used]]
+        gap = self.positions[used] - points[near]
+        return self.positions[used], near, np.sqrt(np.einsum("ij,ij->i", gap, gap))
 
     def normals(self, faces: I32) -> F64:
         """Unit normals (N, 3) of `faces` (N,), zero for a face without area."""
@@ -182,8 +189,9 @@ class _Surface:
         # turned so that the lowest corner comes first: the twin of (a, b, c) is then (a, c, b)
         twins = _lowest_first(self.faces[faces])[:, [0, 2, 1]]
         near = np.zeros(len(self.positions), bool)
-        near[twins[:, 0]] = True
-        present = _lowest_first(self.faces[near[self.faces.min(axis=1)]])
+        near[twins] = True
+        candidates = near[self.faces[:, 0]] & near[self.faces[:, 1]] & near[self.faces[:, 2]]
+        present = _lowest_first(self.faces[candidates])
         _, ids = np.unique(np.concatenate([present, twins]), axis=0, return_inverse=True)
         return np.isin(ids[len(present) :], ids[: len(present)])
 
@@ -243,14 +251,10 @@ def _largest(a: _Surface, b: _Surface, distance: F64) -> float:
     No vertex is farther away than a sample is, plus the way between the two: only those are asked for that could
     be farther than the farthest sample, evenly thinned where they are more than half the number of samples.
     """
-    points, own_faces = a.samples
-    vertices, faces = a.vertices
-    near = np.minimum(np.searchsorted(own_faces, faces), len(points) - 1)
-    gap = vertices - points[near]
-    bound = distance[near] + np.sqrt(np.einsum("ij,ij->i", gap, gap))
+    vertices, near, way = a.vertices
     largest = float(distance.max())
-    asked = np.flatnonzero(bound > largest)
-    asked = asked[:: 1 + 2 * len(asked) // len(points)]
+    asked = np.flatnonzero(distance[near] + way > largest)
+    asked = asked[:: 1 + 2 * len(asked) // len(distance)]
     return max(largest, float(b.closest(vertices[asked])[0].max(initial=0.0)))
 
 
@@ -305,8 +309,9 @@ def split_slivers(positions: F32, faces: I32, doubled_area: F32, longest_edge: F
 
 def _slivers(doubled_area: F32, longest_edge: F32) -> tuple[Bool, Bool]:
     """Which faces need halving, and which have no area."""
-    flat = doubled_area <= 1e-7 * longest_edge**2
-    return ~flat & (1.2e-7 * longest_edge**3 > 1e-6 * doubled_area), flat
+    square = longest_edge * longest_edge
+    flat = doubled_area <= 1e-7 * square
+    return ~flat & (1.2e-7 * square * longest_edge > 1e-6 * doubled_area), flat
 
 
 def face_sizes(positions: F32, faces: I32) -> tuple[F32, F32]:
