@@ -23,7 +23,7 @@ Bytes = NDArray[np.uint8]
 class Buffers:
     """The binary data of one glTF, read when it is asked for."""
 
-    def __init__(self, tree: Json, folder: Folder, chunk: bytes | None) -> None:
+    def __init__(self, tree: Json, folder: Folder, chunk: memoryview | None) -> None:
         self._tree = tree
         self._folder = folder
         self._chunk = chunk
@@ -145,7 +145,7 @@ class Buffers:
             self._buffers[row] = array
         return self._buffers[row]
 
-    def _buffer_bytes(self, row: int, said: Json) -> bytes:
+    def _buffer_bytes(self, row: int, said: Json) -> bytes | memoryview:
         uri = said.get("uri")
         if uri is None:
             if row or self._chunk is None:

@@ -63,7 +63,7 @@ def read_gltf(folder: Folder, warn: Warn) -> Asset:
     )
 
 
-def _chunks(data: bytes, warn: Warn) -> tuple[bytes, bytes | None]:
+def _chunks(data: bytes, warn: Warn) -> tuple[bytes, memoryview | None]:
     """The JSON and the binary chunk of a GLB."""
     if len(data) < 20:
         raise AssetError("it is cut off in its header")
@@ -72,7 +72,7 @@ def _chunks(data: bytes, warn: Warn) -> tuple[bytes, bytes | None]:
         raise AssetError(f"GLB version {version} is not supported", advice="convert it to glTF 2.0")
     if length != len(data):
         warn(f"its header says {length:,} bytes, the file has {len(data):,}")
-    chunks: dict[int, bytes] = {}
+    chunks: dict[int, memoryview] = {}
     at = 12
     while at + 8 <= len(data):
         size, kind = struct.unpack_from("<II", data, at)
@@ -80,11 +80,11 @@ def _chunks(data: bytes, warn: Warn) -> tuple[bytes, bytes | None]:
             raise AssetError(
                 f"a chunk of {size:,} bytes begins at byte {at:,} of {len(data):,}", advice="the file is cut off"
             )
-        chunks.setdefault(kind, data[at + 8 : at + 8 + size])
+        chunks.setdefault(kind, memoryview(data)[at + 8 : at + 8 + size])
         at += 8 + size + (-size % 4)
     if _JSON not in chunks:
         raise AssetError("it has no JSON chunk", advice="the file is damaged")
-    return chunks[_JSON], chunks.get(_BIN)
+    return bytes(chunks[_JSON]), chunks.get(_BIN)
 
 
 class _Reader:
@@ -104,20 +104,29 @@ class _Reader:
                 self._skin_joints[node["mesh"]] = min(joints, self._skin_joints.get(node["mesh"], joints))
 
     def check_counts(self) -> None:
-        """Raise LimitError, before any array is read, if the file declares too many triangles."""
+        """Raise LimitError, before any array is read, if the file says that it has too many triangles."""
         total = 0
         for mesh in self.tree.get("meshes", ()):
             for said in mesh["primitives"]:
                 row = said.get("indices", said["attributes"].get("POSITION"))
                 mode = said.get("mode", TRIANGLES)
                 if row is not None and mode >= TRIANGLES:
-                    count = self.tree["accessors"][row]["count"]
+                    count = self._declared(row)
                     total += count // 3 if mode == TRIANGLES else count
-        if total > self.folder.limits.triangles:
-            raise LimitError(
-                f"it declares {total:,} triangles, more than the limit of {self.folder.limits.triangles:,}",
-                advice="the file is damaged, or split the model, or raise limits.triangles",
+        self.folder.limits.check_triangles(total)
+
+    def _declared(self, row: int) -> int:
+        """The count of an accessor, which has at least a byte for each element."""
+        said = self.tree["accessors"][row]
+        view = said.get("bufferView")
+        if view is not None and said["count"] > self.tree["bufferViews"][view]["byteLength"]:
+            held = self.tree["bufferViews"][view]["byteLength"]
+            raise AssetError(
+                f"{said['count']:,} elements in the {held:,} bytes of bufferViews[{view}]",
+                place=f"accessors[{row}]",
+                advice="the file is damaged",
             )
+        return int(said["count"])
 
     def mesh(self, row: int) -> Mesh:
         """All triangle primitives of a mesh as one; the other primitives are carried in `document`."""

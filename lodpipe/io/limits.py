@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lodpipe.core.errors import LimitError
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -21,6 +23,14 @@ class Limits:
     """Brackets inside brackets in a glTF's JSON."""
     node_depth: int = 1000
     """Nodes under nodes in a glTF's scene."""
+
+    def check_triangles(self, count: int) -> None:
+        """Raise LimitError if a file has `count` triangles, or says so, and that is too many."""
+        if count > self.triangles:
+            raise LimitError(
+                f"{count:,} triangles, more than the limit of {self.triangles:,}",
+                advice="split the model, or raise limits.triangles",
+            )
 
 
 DEFAULT = Limits()

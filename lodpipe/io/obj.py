@@ -44,7 +44,9 @@ def read_obj(folder: Folder, warn: Warn) -> Asset:
     Mesh, so that the border between the objects stays closed. Each material becomes a primitive. Groups and
     smoothing groups are not kept.
     """
-    data = plain_text(folder.read_asset()).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    data = plain_text(folder.read_asset())
+    folder.limits.check_triangles(data.count(b"\nf "))
+    data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     lines = Lines(strip_comments(data, b"v|vt|vn|f"))
     vertex_lines = lines.starting(b"v")
     if not len(vertex_lines):
@@ -138,14 +140,14 @@ class _Reader:
 
 def _polygons(lines: Lines, vertex_lines: NDArray[np.intp], warn: Warn) -> _Corners:
     face_lines = lines.starting(b"f")
-    body = lines.text(face_lines).replace(b"f", b" ")
+    body = lines.body(face_lines, b"f")
     counts = lines.words[face_lines].astype(np.int64) - 1
     parsed = _indices(body)
     if parsed is None:
         bad = np.array([bool(_BAD_FACE.search(line)) for line in body.split(b"\n")[:-1]], bool)
         warn(f"{int(bad.sum()):,} face lines that are not made of indices left out")
         face_lines, counts = face_lines[~bad], counts[~bad]
-        parsed = _indices(lines.text(face_lines).replace(b"f", b" "))
+        parsed = _indices(lines.body(face_lines, b"f"))
         if parsed is None:
             raise AssetError("its face lines cannot be understood", advice="export the model again")
     resolved = []

@@ -45,6 +45,7 @@ def read_off(folder: Folder, warn: Warn) -> Asset:
             f"its header says {vertices:,} vertices and {polygons:,} faces, but {len(filled) - 1:,} lines follow",
             advice="the file is cut off or damaged",
         )
+    folder.limits.check_triangles(polygons)
     positions, attributes = _vertices(lines, filled[1 : 1 + vertices], kind)
     counts, corners = _faces(lines, filled[1 + vertices : 1 + vertices + polygons], warn)
     good = usable(counts, corners, vertices, "faces", warn)

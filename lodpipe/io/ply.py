@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,7 @@ def read_ply(folder: Folder, warn: Warn) -> Asset:
     """Faces or triangle strips; vertex normals, colours, UVs; corner UVs and a TextureFile as MeshLab writes them."""
     data = folder.read_asset()
     order, elements, textures, body = _header(data)
+    folder.limits.check_triangles(max((e.count for e in elements if e.name == "face"), default=0))
     columns = {}
     for element, values in _rows(memoryview(data)[body:], order, elements):
         columns[element.name] = values
@@ -213,13 +214,14 @@ def _row_by_row(body: memoryview, at: int, order: str, element: _Element) -> tup
     counts: list[list[int]] = [[] for _ in element.properties]
     sizes = [np.dtype(p.type).itemsize for p in element.properties]
     heads = [np.dtype(p.count_type).itemsize if p.count_type else 0 for p in element.properties]
-    endian, signed = ("little" if order == "<" else "big"), [p.count_type.startswith("i") for p in element.properties]
+    endian: Literal["little", "big"] = "little" if order == "<" else "big"
+    signed = [p.count_type.startswith("i") for p in element.properties]
     total = len(body)
     for _ in range(element.count):
         for i, head in enumerate(heads):
             n = 1
             if head:
-                n = int.from_bytes(body[at : at + head], endian, signed=signed[i])  # type: ignore[arg-type]  # a literal
+                n = int.from_bytes(body[at : at + head], endian, signed=signed[i])
                 at += head
                 counts[i].append(n)
             spans[i].append(at)

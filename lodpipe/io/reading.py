@@ -70,11 +70,7 @@ def _load(path: Path, limits: Limits) -> Asset:
     if asset.triangles == 0:
         reasons = f" ({'; '.join(warnings)})" if warnings else ""
         raise AssetError(f"no triangles{reasons}", advice="only surfaces made of faces can be simplified")
-    if asset.triangles > limits.triangles:
-        raise LimitError(
-            f"{asset.triangles:,} triangles, more than the limit of {limits.triangles:,}",
-            advice="split the model, or raise limits.triangles",
-        )
+    limits.check_triangles(asset.triangles)
     if not any(has_area(mesh.positions, mesh.faces) for mesh in asset.meshes if len(mesh.faces)):
         raise InvalidMesh("no area: each triangle has corners at one point or on one line")
     return dataclasses.replace(

@@ -13,6 +13,7 @@ from lodpipe.core.errors import AssetError
 from lodpipe.core.mesh import F64
 from lodpipe.io.build import Part, build_mesh
 from lodpipe.io.clean import Warn, face_cross
+from lodpipe.io.limits import Limits
 from lodpipe.io.paths import Folder
 from lodpipe.io.plain import single_mesh
 from lodpipe.io.text import Lines, plain_text
@@ -26,21 +27,21 @@ def read_stl(folder: Folder, warn: Warn) -> Asset:
     data = folder.read_asset()
     if not data:
         raise AssetError("the file is empty")
-    corners = _text(data, warn) if _is_text(data) else _binary(data, warn)
+    corners = _text(data, folder.limits, warn) if _is_text(data) else _binary(data, folder.limits, warn)
     faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
     return single_mesh(folder.path, build_mesh([Part(corners, faces)], "facets", warn))
 
 
 def _is_text(data: bytes) -> bool:
     """A binary file may start with `solid` too: its size gives it away."""
-    if data.lstrip()[:5].lower() != b"solid":
+    if data[:200].lstrip()[:5].lower() != b"solid":
         return False
     if len(data) >= _HEADER and len(data) == _HEADER + 50 * struct.unpack_from("<I", data, 80)[0]:
         return False
     return b"\0" not in data[:1000]
 
 
-def _binary(data: bytes, warn: Warn) -> NDArray[np.float32]:
+def _binary(data: bytes, limits: Limits, warn: Warn) -> NDArray[np.float32]:
     if len(data) < _HEADER:
         raise AssetError("it is cut off in its header")
     count = struct.unpack_from("<I", data, 80)[0]
@@ -49,14 +50,16 @@ def _binary(data: bytes, warn: Warn) -> NDArray[np.float32]:
         raise AssetError(
             f"its header says {count:,} facets, but there is data for {held:,}", advice="the file is cut off or damaged"
         )
+    limits.check_triangles(count)
     if len(data) > _HEADER + count * _FACET.itemsize:
         warn(f"{len(data) - _HEADER - count * _FACET.itemsize:,} bytes after the last facet left out")
     facets = np.frombuffer(data, _FACET, count, _HEADER)
     return np.ascontiguousarray(facets["corners"]).reshape(-1, 3)
 
 
-def _text(data: bytes, warn: Warn) -> F64:
+def _text(data: bytes, limits: Limits, warn: Warn) -> F64:
     text = plain_text(data).lower()
+    limits.check_triangles(text.count(b"endfacet"))
     lines = Lines(text)
     chosen = lines.starting(b"vertex")
     table, count = lines.table(chosen, b"vertex", 3)

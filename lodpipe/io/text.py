@@ -120,6 +120,13 @@ class Lines:
         end = self.end[lines[np.concatenate([cut, [len(lines) - 1]])]].tolist()
         return b"\n".join([self.data[b:e] for b, e in zip(begin, end, strict=True)]) + b"\n"
 
+    def body(self, lines: NDArray[np.intp], keyword: bytes) -> bytes:
+        """The same with spaces in the place of `keyword`, with which each of the lines starts."""
+        text, blank = self.text(lines), b" " * len(keyword)
+        if text.count(keyword) == len(lines):
+            return text.replace(keyword, blank)
+        return b"\n".join([line.replace(keyword, blank, 1) for line in text.split(b"\n")])
+
     def rest(self, line: int, keyword: bytes) -> bytes:
         """What follows `keyword` in a line that it starts."""
         return self.data[int(self.first[line]) + len(keyword) : int(self.end[line])].strip()
@@ -127,7 +134,7 @@ class Lines:
     def table(self, lines: NDArray[np.intp], keyword: bytes, columns: int) -> tuple[NDArray[np.float64], NDArray[Any]]:
         """The numbers after `keyword`: (N, columns), NaN where a line has fewer; and how many each line has, (N,)."""
         count = self.words[lines] - 1
-        values = numbers(self.text(lines).replace(keyword, b" " * len(keyword)), int(count.sum()))
+        values = numbers(self.body(lines, keyword), int(count.sum()))
         if len(count) and (count == count[0]).all() and count[0] >= columns:
             return values.reshape(len(lines), -1)[:, :columns], count
         begin = np.cumsum(count) - count

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from lodpipe.core.asset import Asset
 from lodpipe.core.errors import InvalidMesh, LodpipeError, OutputError
@@ -120,6 +121,9 @@ def _tell_losses(asset: Asset, suffix: str, warn: Warn) -> None:
         lost.append("the node tree (meshes are written where it places them)")
     keys = {"skins": "skins", "animations": "animations", "cameras": "cameras", "extensions": "extensions"}
     lost += [title for key, title in keys.items() if asset.document.get(key)]
+    slots = {slot for material in asset.materials for slot in _slots(material.gltf)}
+    if suffix == ".obj" and (further := slots - {"baseColorTexture", "normalTexture", "emissiveTexture"}):
+        lost.append(", ".join(sorted(further)))
     attributes = {name for mesh in asset.meshes for name in mesh.attributes}
     if suffix == ".stl" and attributes:
         lost.append("normals, UVs and colours")
@@ -129,6 +133,15 @@ def _tell_losses(asset: Asset, suffix: str, warn: Warn) -> None:
         lost.append("further vertex attributes")
     if lost:
         warn(f"{suffix[1:].upper()} has no place for {', '.join(lost)}; left out")
+
+
+def _slots(tree: Any) -> Iterator[str]:
+    """The names of the texture slots of a material."""
+    for key, value in tree.items() if isinstance(tree, Mapping) else ():
+        if key.endswith("Texture"):
+            yield key
+        elif key != "extras":
+            yield from _slots(value)
 
 
 def _write(path: Path, files: Sequence[tuple[str, bytes]]) -> list[Path]:

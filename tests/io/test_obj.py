@@ -88,7 +88,7 @@ def test_vertex_colours(tmp_path: Path) -> None:
 
 
 def test_faces_that_make_no_sense_are_counted(tmp_path: Path) -> None:
-    asset = read(tmp_path, SQUARE + UVS + "f 1 2 3\nf 1 x 3\nf 1/1/1/1 2 3\nf 0 1 2\nf 1 2\nf 1 2 77\nf 1/9 3/3 4/4\n")
+    asset = read(tmp_path, SQUARE + UVS + "f 1 2 3\nf 1 2f 3\nf 1/1/1/1 2 3\nf 0 1 2\nf 1 2\nf 1 2 77\nf 1/9 3/3 4/4\n")
     assert len(asset.meshes[0].faces) == 2
     assert len(asset.warnings) == 4
     assert "2 face lines that are not made of indices" in asset.warnings[0]

@@ -23,6 +23,12 @@ def test_a_table_has_nan_where_a_line_is_short() -> None:
     assert count.tolist() == [4, 2, 3]
 
 
+def test_a_keyword_inside_a_line_is_a_word_like_others() -> None:
+    lines = Lines(b"v 1 v 3\nv 4 5v 6\n")
+    table, _ = lines.table(lines.starting(b"v"), b"v", 3)
+    assert np.array_equal(table, [[1, np.nan, 3], [4, np.nan, 6]], equal_nan=True)
+
+
 @pytest.mark.parametrize("text", [b"1 -2.5e3 .5 nan -inf", b"1\t-2.5e3\r\n.5 NaN -Infinity"])
 def test_numbers(text: bytes) -> None:
     assert np.array_equal(numbers(text, 5), [1, -2500, 0.5, np.nan, -np.inf], equal_nan=True)
