@@ -184,7 +184,7 @@ class _Joined:
             corners += rows
             vertex_start.append(vertices)
             face_start.append(face_start[-1] + len(mesh.faces))
-        weight = _join(importance, 0, np.float32)
+        weight = np.concatenate(importance) if importance else np.empty(0, np.float32)
         return _Joined(
             used,
             matrices,
@@ -337,7 +337,7 @@ def _join(tables: list[Any], columns: int, dtype: Any) -> Any:
     if len(tables) == 1:
         return np.ascontiguousarray(tables[0], dtype)
     if not tables:
-        return np.empty((0, columns) if columns else 0, dtype)
+        return np.empty((0, columns), dtype)
     return np.ascontiguousarray(np.concatenate(tables), dtype)
 
 

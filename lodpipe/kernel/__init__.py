@@ -44,8 +44,8 @@ class QuadricOptions:
     """Vertices closer than this (object units) may merge without an edge between them (aggregation); 0: edges only."""
     attribute_cost: bool = False
     """Whether attributes steer (Hoppe 1999); if not they are carried all the same."""
-    keep_topology: bool = True
-    """Refuse collapses that would change the topology (link condition)."""
+    keep_topology: bool = False
+    """Refuse collapses that would change the topology (link condition): holes, handles and manifolds stay."""
     may_relax: bool = True
     """Give the link condition up when the target cannot be reached otherwise."""
     flip_degrees: float = 78.0

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from lodpipe.core.mesh import F32, F64, I32
 from lodpipe.kernel import EdgeCosts, QuadricOptions
 
-DAMPING = 1e-4
+DAMPING = 3e-6
 """Share of the trace that pulls the optimum to the edge's middle where nothing else holds it."""
-SHORT_EDGE = 1e-7
+SHORT_EDGE = 1e-9
 """Share of the trace × squared length that is added to every cost: among equals the shorter edge goes first."""
 REACH = 2.0
 """The optimum lies within so many edge lengths of the edge's middle, or is not believed."""

@@ -22,7 +22,6 @@ REASONS = {
     "flip": "further collapses would turn faces over",
     "seams": "further collapses would tear UV seams or borders between materials (see `collapse: full`)",
     "locked": "the remaining vertices are locked",
-    "kept meshes": "the rest belongs to meshes that are not simplified",
 }
 
 
@@ -56,7 +55,7 @@ class DecimateParams(Params):
     pair_distance: float = Field(0.0, ge=0, le=100)
     """Parts nearer than this may be joined, in % of the bounding box's diagonal; 0: only along edges."""
     keep_topology: bool = DEFAULTS.keep_topology
-    """Keep holes and handles for as long as the target can be reached that way."""
+    """Keep holes and handles, and a manifold one, for as long as the target can be reached that way."""
     may_relax: bool = DEFAULTS.may_relax
     """Give `keep_topology` up when the target cannot be reached otherwise."""
     round_share: float = Field(DEFAULTS.round_share, gt=0, le=1)
@@ -92,7 +91,7 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
     )
     for number, level in enumerate(levels[1:], 1):
         context.record(f"lod{number}.triangles", level.triangles)
-        if level.stop_reason not in ("target", "error"):
+        if level.stop_reason not in ("target", "error", "kept meshes"):
             context.warn(f"level {number} stopped at {level.triangles} triangles: {REASONS[level.stop_reason]}")
         if level.relaxed:
             context.warn(f"level {number} could only be reached by changing the topology")

@@ -17,7 +17,7 @@ struct Options {
   float crease_cos = 0.5f;       // cosine of the dihedral turn from which an edge is a crease
   double pair_distance = 0;      // object units; 0: edges only
   bool attribute_cost = true;    // false: attributes are carried, but do not steer
-  bool keep_topology = true;     // link condition; relaxed only when nothing else is left, if `may_relax`
+  bool keep_topology = false;    // link condition; relaxed only when nothing else is left, if `may_relax`
   bool may_relax = true;
   float flip_cos = 0.2f;         // least cosine between a face's normal before and after
   float round_share = 1.0f / 16; // share of the live vertices that one round considers

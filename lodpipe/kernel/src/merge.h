@@ -9,8 +9,8 @@
 
 namespace lodpipe {
 
-constexpr float kDamping = 1e-4f;    // share of the trace that pulls the optimum to the middle where nothing else does
-constexpr float kShortEdge = 1e-7f;  // among equals the shorter edge goes first
+constexpr float kDamping = 3e-6f;    // share of the trace that pulls the optimum to the middle where nothing else does
+constexpr float kShortEdge = 1e-9f;  // among equals the shorter edge goes first
 constexpr float kReach = 2.0f;       // the optimum lies within so many edge lengths of the edge's middle
 
 class Merge {
