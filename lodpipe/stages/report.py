@@ -16,7 +16,7 @@ from lodpipe.stage import Context, Params, stage
 class ReportParams(Params):
     """Parameters of `report`."""
 
-    samples: Annotated[int, Field(ge=100, le=10_000_000)] = 100_000
+    samples: Annotated[int, Field(ge=100, le=10_000_000)] = 50_000
     """Points spread over each surface, in each of the two directions."""
 
 
