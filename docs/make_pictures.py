@@ -47,8 +47,7 @@ def sheet(
     levels = decimate_asset(asset, [Target(ratio=ratio) for ratio in ratios])
     images = textures(asset)
     models = [Model(asset, level.meshes, images) for level in levels]
-    source = models[0]
-    camera = Camera.around(source.centre, source.radius * 0.97, direction)
+    camera = Camera.around(models[0].centre, max(model.radius for model in models), direction)
     pictures = [render(model, camera, size, size, supersample=3) for model in models]
     pictures += [render(model, camera, size, size, supersample=3, wireframe=True, mode="clay") for model in models]
     labels = [f"{level.triangles:,} triangles" for level in levels]
