@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 
 def edges(faces):
@@ -57,8 +56,3 @@ def spread(positions, faces, count: int = 20_000, seed: int = 0):
     r, s = np.sqrt(rng.random((2, count, 1)))
     s = s**2
     return (1 - r) * corners[:, 0] + r * (1 - s) * corners[:, 1] + r * s * corners[:, 2]
-
-
-def mean_distance(a, b) -> float:
-    """Mean distance of dense points on the surface `a` (positions, faces) to the nearest of denser points on `b`."""
-    return float(cKDTree(spread(*b, 60_000)).query(spread(*a))[0].mean())

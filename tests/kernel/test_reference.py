@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lodpipe import kernel
-from lodpipe.kernel import PLACEMENTS, WEIGHTINGS, QuadricOptions, reference
+from lodpipe.kernel import PLACEMENTS, WEIGHTINGS, reference
 from lodpipe.kernel.reference import Quadric
 from meshes import book, bow_tie, box, bumpy, folded, grid, messy, moebius, terrain, triangle, uv_sphere
+from options import options
 
 UNIT = np.eye(3)
 numbers = st.floats(-2, 2, allow_nan=False, width=32)
@@ -82,34 +83,34 @@ def test_the_minimum_falls_back_to_the_segment_and_to_its_middle():
 
 def test_planes_of_a_box_meet_in_its_corners():
     for weighting in WEIGHTINGS:
-        options = QuadricOptions(weighting=weighting, crease_weight=0.0)
-        quadrics = reference.plane_quadrics(*box(), options)
+        setting = options(weighting=weighting, crease_weight=0.0)
+        quadrics = reference.plane_quadrics(*box(), setting)
         for corner, quadric in zip(box()[0], quadrics, strict=True):
             assert quadric.at(corner) == pytest.approx(0, abs=1e-12)
             assert np.allclose(np.linalg.solve(quadric.A, -quadric.b), corner)
 
 
 def test_angle_weights_do_not_depend_on_how_a_square_is_cut():
-    quadrics = reference.plane_quadrics(*box(), QuadricOptions(weighting="area-angle", crease_weight=0.0))
+    quadrics = reference.plane_quadrics(*box(), options(weighting="area-angle", crease_weight=0.0))
     for quadric in quadrics:
         assert np.allclose(np.diag(quadric.A), 0.25)  # three right angles; area ½ · π/2 / π for each
 
 
 @pytest.mark.parametrize(("degrees", "expected"), [(45.0, 0.0), (75.0, 2.5)])
 def test_sharp_edges_alone_are_creases(degrees, expected):
-    options = QuadricOptions(weighting="uniform", boundary_weight=0.0, crease_weight=2.5, crease_degrees=60.0)
+    setting = options(weighting="uniform", boundary_weight=0.0, crease_weight=2.5, crease_degrees=60.0)
     positions, faces = folded(2, degrees)
-    at_fold = reference.plane_quadrics(positions, faces, options)[4]  # the middle vertex: six faces, two fold edges
+    at_fold = reference.plane_quadrics(positions, faces, setting)[4]  # the middle vertex: six faces, two fold edges
     assert at_fold.trace == pytest.approx(6 + 4 * expected)
 
 
 # ------------------------------------------------------------------------------------------- native against readable
 
 
-def assert_same_costs(positions, faces, options, **arrays):
+def assert_same_costs(positions, faces, setting, **arrays):
     """Native and readable costs agree to 1e-5, and to what 32-bit floats can tell of such an edge."""
-    native = kernel.edge_costs(positions, faces, options, **arrays)
-    state = reference.State(positions, faces, options, **arrays)
+    native = kernel.edge_costs(positions, faces, setting, **arrays)
+    state = reference.State(positions, faces, setting, **arrays)
     expected = {pair: state.merge(*pair) for pair in [*state.edges(), *state.near]}
     rows = {(int(min(pair)), int(max(pair))): i for i, pair in enumerate(native.edges)}
     assert rows.keys() == expected.keys() and len(rows) == len(native.edges)
@@ -137,10 +138,8 @@ def assert_same_costs(positions, faces, options, **arrays):
 @pytest.mark.parametrize("mesh", [bumpy, terrain, moebius, messy, book, bow_tie, triangle, grid, box, folded])
 def test_costs_of_named_meshes(mesh, placement, weighting):
     positions, faces = mesh(*{bumpy: (1,), terrain: (4,), folded: (4,), moebius: (12, 3)}.get(mesh, ()))
-    options = QuadricOptions(
-        placement=placement, weighting=weighting, boundary_weight=3.0, seam_weight=2.0, crease_weight=0.5
-    )
-    assert_same_costs(positions, faces, options)
+    setting = options(placement=placement, weighting=weighting, boundary_weight=3.0, seam_weight=2.0, crease_weight=0.5)
+    assert_same_costs(positions, faces, setting)
 
 
 @pytest.mark.parametrize("placement", PLACEMENTS)
@@ -150,7 +149,7 @@ def test_costs_with_seams_materials_and_attributes(placement):
     assert_same_costs(
         sphere.positions * (1 + 0.2 * rng.random((len(sphere.positions), 1))),
         sphere.faces,
-        QuadricOptions(placement=placement, seam_weight=0.7),
+        options(placement=placement, seam_weight=0.7),
         wedges=sphere.wedges,
         values=sphere.values,
         column_weights=[0.3, 0.2, 0.1, 0.1, 0.1, 0.0, 0.5, 0.5, 0.0],
@@ -177,7 +176,7 @@ def cases(draw):
         arrays["importance"] = np.exp(rng.normal(size=len(positions))).astype(np.float32)
     if draw(st.booleans()):
         arrays["locked"] = rng.random(len(positions)) < 0.3
-    options = QuadricOptions(
+    setting = options(
         placement=draw(st.sampled_from(PLACEMENTS)),
         weighting=draw(st.sampled_from(WEIGHTINGS)),
         boundary_weight=draw(st.sampled_from([0.0, 0.1, 10.0])),
@@ -187,22 +186,22 @@ def cases(draw):
         pair_distance=draw(st.sampled_from([0.0, 0.0, 0.3])),
         attribute_cost=draw(st.booleans()),
     )
-    return positions, faces, options, arrays
+    return positions, faces, setting, arrays
 
 
 @settings(max_examples=40)
 @given(cases())
 def test_costs_of_random_meshes(case):
-    positions, faces, options, arrays = case
-    assert_same_costs(positions, faces, options, **arrays)
+    positions, faces, setting, arrays = case
+    assert_same_costs(positions, faces, setting, **arrays)
 
 
 @pytest.mark.slow
 @settings(max_examples=1000)
 @given(cases())
 def test_costs_of_many_random_meshes(case):
-    positions, faces, options, arrays = case
-    assert_same_costs(positions, faces, options, **arrays)
+    positions, faces, setting, arrays = case
+    assert_same_costs(positions, faces, setting, **arrays)
 
 
 def textured_case():
@@ -227,11 +226,11 @@ def rough_terrain():
 def test_one_collapse_at_a_time_is_the_paper_s_order(case, target, placement):
     """With rounds of one vertex the kernel makes the very collapses that the textbook loop makes."""
     positions, faces, arrays = case()
-    options = QuadricOptions(
+    setting = options(
         placement=placement, round_share=0.0, may_relax=False, boundary_weight=10, seam_weight=1, crease_weight=0.1
     )
-    level = kernel.decimate(positions, faces, [target], options, **arrays).levels[0]
-    state = reference.decimate(positions, faces, target, options, **arrays)
+    level = kernel.decimate(positions, faces, [target], setting, **arrays).levels[0]
+    state = reference.decimate(positions, faces, target, setting, **arrays)
     assert np.array_equal(np.sort(level.face_source), state.live)
     assert level.error == pytest.approx(state.errors[state.faces[state.live]].max() * state.diagonal, rel=1e-4)
     rows = np.argsort(level.face_source)
@@ -246,19 +245,19 @@ def test_one_collapse_at_a_time_is_the_paper_s_order(case, target, placement):
 def test_the_same_guards_hold(reason):
     """Where the textbook loop is stopped by a guard, the kernel is stopped at the same number of triangles."""
     positions, faces = bumpy(2)
-    options = QuadricOptions(placement="endpoint", round_share=0.0, may_relax=False, crease_weight=0.0, seam_weight=0.0)
+    setting = options(placement="endpoint", round_share=0.0, may_relax=False, crease_weight=0.0, seam_weight=0.0)
     arrays: dict = {}
     if reason == "error":
-        options = dataclasses.replace(options, max_error=0.03)
+        setting = dataclasses.replace(setting, max_error=0.03)
     if reason == "flip":
-        options = dataclasses.replace(options, flip_degrees=10.0)
+        setting = dataclasses.replace(setting, flip_degrees=10.0)
     if reason == "locked":
         arrays["locked"] = positions[:, 2] > 0
     if reason == "seams":
         arrays["wedges"] = np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
         arrays["values"] = np.zeros((3 * len(faces), 1), np.float32)
         arrays["column_weights"] = [0.0]
-    level = kernel.decimate(positions, faces, [0], options, **arrays).levels[0]
-    state = reference.decimate(positions, faces, 0, options, **arrays)
+    level = kernel.decimate(positions, faces, [0], setting, **arrays).levels[0]
+    state = reference.decimate(positions, faces, 0, setting, **arrays)
     assert 0 < len(level.faces) == len(state.live)
     assert np.array_equal(np.sort(level.face_source), state.live)
