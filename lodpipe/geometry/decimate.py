@@ -97,7 +97,7 @@ def decimate_asset(
         joined.positions,
         joined.faces,
         [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted,
-        replace(options, record=options.record or by_error),
+        replace(options, record=options.record or by_error, chart_column=joined.chart_column),
         wedges=joined.wedges,
         values=values,
         column_weights=column_weights,
@@ -199,6 +199,13 @@ class _Joined:
             face_start,
         )
 
+    @property
+    def chart_column(self) -> int | None:
+        """Where TEXCOORD_0 begins."""
+        if "TEXCOORD_0" not in self.names:
+            return None
+        return sum(self.widths[: self.names.index("TEXCOORD_0")])
+
     def columns(self, options: QuadricOptions, weights: AttributeWeights, finest: int) -> tuple[F32, list[float]]:
         """The attribute table as the kernel takes it, and what a unit of each column is worth."""
         if not options.attribute_cost or not len(self.faces):
@@ -253,7 +260,8 @@ class _Joined:
             rows, wedges = np.unique(level.wedges[mine], return_inverse=True)
         matrix = self.matrices[number]
         old = level.vertex_source[vertices] - self.vertex_start[number]
-        moved = level.vertex_source[vertices] < 0
+        # where parts were joined (`pair_distance`), a vertex that did not move may be one of another mesh
+        moved = (old < 0) | (old >= len(source.positions)) | (level.vertex_source[vertices] < 0)
         positions = np.empty((len(vertices), 3))
         positions[~moved] = source.positions[old[~moved]]
         if moved.any():

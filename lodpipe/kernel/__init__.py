@@ -20,7 +20,7 @@ Weighting = Literal["uniform", "area", "area-angle"]
 PLACEMENTS: tuple[Placement, ...] = ("optimal", "endpoint", "midpoint")
 WEIGHTINGS: tuple[Weighting, ...] = ("uniform", "area", "area-angle")
 #: Why a level stopped, by the kernel's number.
-STOP_REASONS = ("triangles", "error", "topology", "flip", "seams", "locked", "cancelled")
+STOP_REASONS = ("triangles", "error", "topology", "flip", "seams", "locked", "last", "cancelled")
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,8 @@ class QuadricOptions:
     """Share of the live vertices that a round considers, 0…1: smaller is nearer to the best order, larger is faster."""
     max_error: float | None = None
     """Stop where the estimated deviation would pass this, object units."""
+    chart_column: int | None = None
+    """Column of `values` that holds u, with v after it: at seams new UVs stay within their chart."""
     record: bool = False
     """Keep the sequence of collapses, from which `rebuild` makes any level between."""
 
@@ -153,6 +155,8 @@ def decimate(
     if any(t < 0 for t in goals) or goals != sorted(goals, reverse=True):
         raise InvalidMesh(f"targets must be descending and not negative (got {goals})")
     arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
+    if options.chart_column is not None and not 0 <= options.chart_column < arrays[3].shape[1] - 1:
+        raise InvalidMesh(f"chart_column {options.chart_column} needs two columns from there on")
     given = _native.decimate(*arrays, goals, progress or (lambda done, total: True), _options(options, threads))
     levels = [_level(data) for data in given["levels"]]
     record = _record(given["record"], arrays[3].shape[1]) if options.record else None
@@ -227,6 +231,7 @@ def _options(options: QuadricOptions, threads: int) -> _native.Options:
     native.crease_cos = float(np.cos(np.radians(options.crease_degrees)))
     native.flip_cos = float(np.cos(np.radians(options.flip_degrees)))
     native.max_error = -1.0 if options.max_error is None else options.max_error
+    native.chart_column = -1 if options.chart_column is None else options.chart_column
     native.threads = threads or os.cpu_count() or 1
     for name in (
         "boundary_weight",

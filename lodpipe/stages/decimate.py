@@ -22,6 +22,7 @@ REASONS = {
     "flip": "further collapses would turn faces over",
     "seams": "further collapses would tear UV seams or borders between materials (see `collapse: full`)",
     "locked": "the remaining vertices are locked",
+    "last": "nothing would be left",
 }
 
 

@@ -124,7 +124,8 @@ def _peer(settings: dict[str, Any]) -> Any:
         def done(out: Mesh) -> Any:
             if not attributes:
                 return harness.Mesh(out.positions.astype(np.float32), out.faces, fm=out.face_primitive, mats=m.mats)
-            get = lambda name: out.attributes[name][out.wedges] if name in out.attributes else None  # noqa: E731
+            corners = {name: table[out.wedges] for name, table in out.attributes.items()}
+            get = corners.get
             made = harness.corners(
                 out.positions, out.faces, get("TEXCOORD_0"), get("NORMAL"), get("COLOR_0"), out.face_primitive
             )

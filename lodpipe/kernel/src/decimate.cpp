@@ -199,7 +199,7 @@ class Decimator {
   struct Block {
     std::vector<int32_t> todo, waiting;  // rows of order_
     int64_t removed = 0;
-    std::array<int64_t, 7> refused{};
+    std::array<int64_t, kStops> refused{};
     std::unique_ptr<Scratch> scratch = std::make_unique<Scratch>();
     Record record;
     std::vector<int32_t> ranks;  // of the record's rows
@@ -275,6 +275,7 @@ class Decimator {
     for (const int32_t c : w.between) shared += !s_.faces[face_of(c)].link();
     if (block >= 0 && shared > 2) return Outcome::wait;
     if (shared > 2 && shared > wanted - out.removed && out.removed > 0) return Outcome::touched;
+    if (block < 0 && s_.triangles - out.removed <= shared) return refuse(order_[i], out, Stop::last);
     if (keep_topology_ && !link_condition(v, u, shared, w)) return refuse(order_[i], out, Stop::topology);
     Vec3 y;
     const float cost = w.merge.place(s_, options_, v, u, &y);
@@ -481,12 +482,14 @@ class Decimator {
     const float error = trace > 0 ? std::sqrt(s_.cost[v] / trace) : 0;
     if (error > max_error_) return refuse(v, out, Stop::error);
     int removed = 0;
-    for (const int32_t m : w.before) {
-      for (int32_t c = s_.vertices[m].head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)]) {
-        Face& f = s_.faces[face_of(c)];
-        if (!f.dead()) ++removed, f.v[0] = kNone;
-      }
-    }
+    const auto each = [&](const auto& body) {
+      for (const int32_t m : w.before)
+        for (int32_t c = s_.vertices[m].head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)])
+          if (Face& f = s_.faces[face_of(c)]; !f.dead()) body(f, slot_of(c));
+    };
+    each([&](const Face&, int slot) { removed += slot == 0; });
+    if (s_.triangles - out.removed <= removed) return refuse(v, out, Stop::last);
+    each([](Face& f, int) { f.v[0] = kNone; });
     for (const int32_t m : w.before) {
       s_.flags[m] = kDead;
       s_.cost[m] = kInfinity;
@@ -573,7 +576,7 @@ class Decimator {
     }
     if (max_error_ < kInfinity && refused_[static_cast<size_t>(Stop::error)]) return Stop::error;
     Stop worst = Stop::topology;
-    for (size_t k = static_cast<size_t>(Stop::topology); k <= static_cast<size_t>(Stop::locked); ++k)
+    for (size_t k = static_cast<size_t>(Stop::topology); k <= static_cast<size_t>(Stop::last); ++k)
       if (refused_[k] > refused_[static_cast<size_t>(worst)]) worst = static_cast<Stop>(k);
     return worst;
   }
@@ -643,7 +646,7 @@ class Decimator {
   std::vector<float> sample_;
   std::vector<int32_t> order_;
   std::vector<Block> blocks_;
-  std::array<int64_t, 7> refused_{};
+  std::array<int64_t, kStops> refused_{};
   int32_t round_ = 0;
   float max_error_ = kInfinity;
   bool keep_topology_ = true, relaxed_ = false;

@@ -8,7 +8,8 @@ namespace lodpipe {
 
 enum class Placement { optimal = 0, endpoint = 1, midpoint = 2 };
 enum class Weighting { uniform = 0, area = 1, area_angle = 2 };
-enum class Stop { triangles = 0, error = 1, topology = 2, flip = 3, seams = 4, locked = 5, cancelled = 6 };
+enum class Stop { triangles = 0, error = 1, topology = 2, flip = 3, seams = 4, locked = 5, last = 6, cancelled = 7 };
+constexpr int kStops = 8;
 
 struct Options {
   Placement placement = Placement::optimal;
@@ -22,6 +23,7 @@ struct Options {
   float flip_cos = 0.2f;         // least cosine between a face's normal before and after
   float round_share = 1.0f / 16; // share of the live vertices that one round considers
   double max_error = -1;         // object units; negative: none
+  int chart_column = -1;         // of `values`: u; v follows it. At seams they stay within their chart. −1: none
   int threads = 1;
   bool record = false;
 };

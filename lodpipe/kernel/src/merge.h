@@ -11,6 +11,7 @@ namespace lodpipe {
 
 constexpr float kDamping = 3e-6f;    // share of the trace that pulls the optimum to the middle where nothing else does
 constexpr float kShortEdge = 1e-9f;  // among equals the shorter edge goes first
+constexpr float kGutter = 4.0f / 1024;  // UV units beyond a chart's border that textures are expected to be padded by
 constexpr float kReach = 2.0f;       // the optimum lies within so many edge lengths of the edge's middle
 
 class Merge {
@@ -96,21 +97,28 @@ class Merge {
     join(s, v, u, s.columns);
     quadric.move_origin(y);
     links_.clear();
-    for (const Group& g : groups_) {
+    for (size_t number = 0; number < groups_.size(); ++number) {
+      const Group& g = groups_[number];
       bool several = false;
       float* value = &s.value[static_cast<size_t>(g.wedge) * s.columns];
+      steps_.assign(static_cast<size_t>(s.columns), 0.0f);
       for (int k = 0; k < s.columns; ++k) {
         Slope& t = slopes_[g.first + k];
         t.d = t.at(y);
-        const float step = fixed || !(g.weight > 0) ? 0.0f : t.d / g.weight;
-        if (k < s.steering) shift(t, step, g.weight);
-        t.d -= step * g.weight;
-        value[k] += step;
+        if (!fixed && g.weight > 0) steps_[k] = t.d / g.weight;
+      }
+      if (!fixed && s.chart_column >= 0 && groups_.size() > 1)
+        keep_in_chart(s, v, u, static_cast<int32_t>(number), value + s.chart_column, &steps_[s.chart_column]);
+      for (int k = 0; k < s.columns; ++k) {
+        Slope& t = slopes_[g.first + k];
+        if (k < s.steering) shift(t, steps_[k], g.weight);
+        t.d -= steps_[k] * g.weight;
+        value[k] += steps_[k];
         s.slope[static_cast<size_t>(g.wedge) * s.columns + k] = t;
       }
       s.weight[g.wedge] = g.weight;
       for (const auto& [wedge, group] : members_)
-        if (&groups_[group] == &g && wedge != g.wedge) links_.push_back({wedge, g.wedge}), several = true;
+        if (group == static_cast<int32_t>(number) && wedge != g.wedge) links_.push_back({wedge, g.wedge}), several = true;
       if (!fixed) s.wedge_moved[g.wedge] = 1;
       if (!fixed && !several) links_.push_back({g.wedge, g.wedge});
     }
@@ -179,6 +187,56 @@ class Merge {
     for (const auto& [wedge, group] : members_)
       if (own_[group] != 1) return kInfinity;
     return std::max(quadric.c, 0.0f);
+  }
+
+  // At a seam the best fit may lie outside the chart, where the texture shows something else: then the point that is
+  // nearest to the faces which the group has round v and u takes its place, but for the width of a gutter. `value` and `step` are the two UV columns.
+  void keep_in_chart(const State& s, int32_t v, int32_t u, int32_t group, const float* value, float* step) const {
+    const Point wanted{value[0] + step[0], value[1] + step[1]};
+    Point best = wanted;
+    float nearest = kInfinity;
+    for (const int32_t end : {v, u})
+      for (int32_t c = s.vertices[end].head; c != kNone; c = s.faces[face_of(c)].next[slot_of(c)]) {
+        const Face& f = s.faces[face_of(c)];
+        if (f.dead() || f.link()) continue;
+        const int32_t* w = s.wedges[face_of(c)].w;
+        const auto member = std::find_if(members_.begin(), members_.end(),
+                                         [&](const auto& m) { return m.first == w[slot_of(c)]; });
+        if (member == members_.end() || member->second != group) continue;
+        Point corner[3];
+        for (int k = 0; k < 3; ++k) {
+          const float* at = &s.value[static_cast<size_t>(w[k]) * s.columns + s.chart_column];
+          corner[k] = {at[0], at[1]};
+        }
+        const Point found = nearest_in_triangle(wanted, corner);
+        const float away = squared(found, wanted);
+        if (away < nearest) nearest = away, best = found;
+      }
+    const float part = nearest > 0 ? std::min(1.0f, kGutter / std::sqrt(nearest)) : 0.0f;
+    step[0] = best.x + part * (wanted.x - best.x) - value[0];
+    step[1] = best.y + part * (wanted.y - best.y) - value[1];
+  }
+
+  struct Point {
+    float x, y;
+  };
+  static float squared(Point a, Point b) { return (a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y); }
+  static Point nearest_in_triangle(Point p, const Point* t) {
+    const auto side = [](Point a, Point b, Point c) { return (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x); };
+    const float a = side(t[0], t[1], p), b = side(t[1], t[2], p), c = side(t[2], t[0], p);
+    if ((a >= 0 && b >= 0 && c >= 0) || (a <= 0 && b <= 0 && c <= 0)) {
+      if (side(t[0], t[1], t[2]) != 0) return p;
+    }
+    Point best = t[0];
+    for (int k = 0; k < 3; ++k) {
+      const Point from = t[k], to = t[(k + 1) % 3], d{to.x - from.x, to.y - from.y};
+      const float size = d.x * d.x + d.y * d.y;
+      const float along = size > 0 ? ((p.x - from.x) * d.x + (p.y - from.y) * d.y) / size : 0;
+      const float part = std::clamp(along, 0.0f, 1.0f);
+      const Point q{from.x + part * d.x, from.y + part * d.y};
+      if (squared(q, p) < squared(best, p)) best = q;
+    }
+    return best;
   }
 
   // Which wedges of v and u become one: those that a face on the edge joins. Then the sums of their quadrics and of
@@ -289,6 +347,7 @@ class Merge {
   std::vector<uint8_t> of_u_, own_;  // per member; per group: how many wedges of v are in it
   std::vector<int32_t> renumber_;
   std::vector<Slope> slopes_;
+  std::vector<float> steps_;
   bool fixed_ = false;
 };
 

@@ -109,6 +109,7 @@ struct State {
   std::vector<int32_t> vertex_source, wedge_source;
   // wedges, row-major with `columns`
   int columns = 0, steering = 0;  // the first `steering` columns have a share in the cost
+  int chart_column = -1;            // first of the two UV columns that must stay in their charts
   std::vector<int32_t> column_source;
   std::vector<float> column_scale;
   Large<float> value, weight;

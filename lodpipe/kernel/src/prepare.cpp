@@ -90,6 +90,7 @@ void place_wedges(const Input& in, const Options& options, State& s) {
     for (int k = 0; k < in.columns; ++k) {
       const bool steers = options.attribute_cost && in.column_weights[k] > 0;
       if (steers == (pass == 0)) {
+        if (k == options.chart_column) s.chart_column = static_cast<int>(s.column_source.size());
         s.column_source.push_back(k);
         s.column_scale.push_back(steers ? static_cast<float>(in.column_weights[k] * s.scale) : 1.0f);
       }
