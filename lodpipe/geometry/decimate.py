@@ -97,7 +97,9 @@ def decimate_asset(
         joined.positions,
         joined.faces,
         [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted,
-        replace(options, record=options.record or by_error, chart_column=joined.chart_column),
+        replace(
+            options, record=options.record or by_error, keep_last=fixed == 0, chart_column=joined.chart_column
+        ),
         wedges=joined.wedges,
         values=values,
         column_weights=column_weights,
@@ -115,7 +117,8 @@ def decimate_asset(
             continue
         level = made[max(count - fixed, 0)]
         reached = len(level.faces) + fixed <= count
-        reason = "target" if reached else "kept meshes" if level.stop == "triangles" else level.stop
+        nothing_left = level.stop == "triangles" or (level.stop == "last" and fixed > 0)
+        reason = "target" if reached else "kept meshes" if nothing_left else level.stop
         lods.append(joined.lod(asset, level, goal, reason))
     return tuple(lods)
 

@@ -88,9 +88,9 @@ def test_a_level_does_not_depend_on_those_below_it():
 
 def test_targets_at_the_ends():
     positions, faces = bumpy(2)
-    whole, none = decimate(positions, faces, [len(faces) + 7, 0]).levels
+    whole, last = decimate(positions, faces, [len(faces) + 7, 0]).levels
     assert len(whole.faces) == len(faces) and (whole.vertex_source >= 0).all() and whole.error == 0
-    assert len(none.faces) == len(none.positions) == 0 and none.stop == "triangles"
+    assert len(last.faces) == 4 and last.stop == "last"  # a model never vanishes
     assert decimate(positions, faces, []).levels == []
 
 
@@ -232,12 +232,13 @@ NAN = np.where(np.arange(GOOD[0].size).reshape(GOOD[0].shape) == 4, np.nan, GOOD
         ({"locked": np.ones(4, bool)}, "locked must have 18 values"),
         ({"targets": [10, 20]}, "targets must be descending"),
         ({"targets": [-1]}, "targets must be descending and not negative"),
+        ({"options": options(chart_column=0)}, "chart_column 0 needs two columns"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused(change, message):
     arguments = {"positions": GOOD[0], "faces": GOOD[1], "targets": [8], **change}
     with pytest.raises(InvalidMesh, match=message):
-        decimate(**arguments)
+        kernel.decimate(**arguments)
 
 
 def test_index_arrays_of_other_widths_are_taken():
@@ -308,6 +309,7 @@ def test_every_option_does_something():
         "flip_degrees": 20.0,
         "round_share": 0.9,
         "max_error": 0.01,
+        "chart_column": 0,
     }
     fields = {field.name for field in dataclasses.fields(SET)}
     assert fields == {*other, "record"}
@@ -316,7 +318,7 @@ def test_every_option_does_something():
         level = decimate(
             positions, faces, [40, 3], setting, wedges=wedges, values=ball.values, column_weights=WEIGHTS
         ).levels
-        return [(one.positions.tobytes(), one.stop, one.relaxed) for one in level]
+        return [(one.positions.tobytes(), one.values.tobytes(), one.stop, one.relaxed) for one in level]
 
     plain = run(base)
     assert [name for name, value in other.items() if run(dataclasses.replace(base, **{name: value})) == plain] == []
