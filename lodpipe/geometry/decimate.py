@@ -117,8 +117,7 @@ def decimate_asset(
             continue
         level = made[max(count - fixed, 0)]
         reached = len(level.faces) + fixed <= count
-        nothing_left = level.stop == "triangles" or (level.stop == "last" and fixed > 0)
-        reason = "target" if reached else "kept meshes" if nothing_left else level.stop
+        reason = "target" if reached else "kept meshes" if level.stop == "triangles" else level.stop
         lods.append(joined.lod(asset, level, goal, reason))
     return tuple(lods)
 

@@ -54,6 +54,8 @@ class QuadricOptions:
     """Share of the live vertices that a round considers, 0…1: smaller is nearer to the best order, larger is faster."""
     max_error: float | None = None
     """Stop where the estimated deviation would pass this, object units."""
+    keep_last: bool = False
+    """Leave the last triangles, whatever the target."""
     chart_column: int | None = None
     """Column of `values` that holds u, with v after it: at seams new UVs stay within their chart."""
     record: bool = False
@@ -241,6 +243,7 @@ def _options(options: QuadricOptions, threads: int) -> _native.Options:
         "attribute_cost",
         "keep_topology",
         "may_relax",
+        "keep_last",
         "round_share",
         "record",
     ):

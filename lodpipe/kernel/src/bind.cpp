@@ -137,6 +137,7 @@ NB_MODULE(_native, m) {
       .def_rw("flip_cos", &Options::flip_cos)
       .def_rw("round_share", &Options::round_share)
       .def_rw("max_error", &Options::max_error)
+      .def_rw("keep_last", &Options::keep_last)
       .def_rw("chart_column", &Options::chart_column)
       .def_rw("threads", &Options::threads)
       .def_rw("record", &Options::record);

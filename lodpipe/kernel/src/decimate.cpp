@@ -275,7 +275,7 @@ class Decimator {
     for (const int32_t c : w.between) shared += !s_.faces[face_of(c)].link();
     if (block >= 0 && shared > 2) return Outcome::wait;
     if (shared > 2 && shared > wanted - out.removed && out.removed > 0) return Outcome::touched;
-    if (block < 0 && s_.triangles - out.removed <= shared) return refuse(order_[i], out, Stop::last);
+    if (options_.keep_last && block < 0 && s_.triangles - out.removed <= shared) return refuse(order_[i], out, Stop::last);
     if (keep_topology_ && !link_condition(v, u, shared, w)) return refuse(order_[i], out, Stop::topology);
     Vec3 y;
     const float cost = w.merge.place(s_, options_, v, u, &y);
@@ -488,7 +488,7 @@ class Decimator {
           if (Face& f = s_.faces[face_of(c)]; !f.dead()) body(f, slot_of(c));
     };
     each([&](const Face&, int slot) { removed += slot == 0; });
-    if (s_.triangles - out.removed <= removed) return refuse(v, out, Stop::last);
+    if (options_.keep_last && s_.triangles - out.removed <= removed) return refuse(v, out, Stop::last);
     each([](Face& f, int) { f.v[0] = kNone; });
     for (const int32_t m : w.before) {
       s_.flags[m] = kDead;

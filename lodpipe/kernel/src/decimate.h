@@ -23,6 +23,7 @@ struct Options {
   float flip_cos = 0.2f;         // least cosine between a face's normal before and after
   float round_share = 1.0f / 16; // share of the live vertices that one round considers
   double max_error = -1;         // object units; negative: none
+  bool keep_last = false;        // the last triangles stay, whatever the target
   int chart_column = -1;         // of `values`: u; v follows it. At seams they stay within their chart. −1: none
   int threads = 1;
   bool record = false;
