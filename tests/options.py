@@ -21,6 +21,7 @@ SET = QuadricOptions(
     flip_degrees=78.0,
     round_share=1 / 16,
     max_error=None,
+    keep_last=False,
     chart_column=None,
     record=False,
 )

@@ -88,9 +88,11 @@ def test_a_level_does_not_depend_on_those_below_it():
 
 def test_targets_at_the_ends():
     positions, faces = bumpy(2)
-    whole, last = decimate(positions, faces, [len(faces) + 7, 0]).levels
+    whole, none = decimate(positions, faces, [len(faces) + 7, 0]).levels
     assert len(whole.faces) == len(faces) and (whole.vertex_source >= 0).all() and whole.error == 0
-    assert len(last.faces) == 4 and last.stop == "last"  # a model never vanishes
+    assert len(none.faces) == len(none.positions) == 0 and none.stop == "triangles"
+    last = decimate(positions, faces, [0], options(keep_last=True)).levels[0]
+    assert len(last.faces) == 4 and last.stop == "last"
     assert decimate(positions, faces, []).levels == []
 
 
@@ -309,6 +311,7 @@ def test_every_option_does_something():
         "flip_degrees": 20.0,
         "round_share": 0.9,
         "max_error": 0.01,
+        "keep_last": True,
         "chart_column": 0,
     }
     fields = {field.name for field in dataclasses.fields(SET)}
@@ -316,7 +319,7 @@ def test_every_option_does_something():
 
     def run(setting):
         level = decimate(
-            positions, faces, [40, 3], setting, wedges=wedges, values=ball.values, column_weights=WEIGHTS
+            positions, faces, [40, 0], setting, wedges=wedges, values=ball.values, column_weights=WEIGHTS
         ).levels
         return [(one.positions.tobytes(), one.values.tobytes(), one.stop, one.relaxed) for one in level]
 

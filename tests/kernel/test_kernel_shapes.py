@@ -146,18 +146,18 @@ def test_levels_above_the_point_where_topology_was_given_up_are_not_marked():
 
 @pytest.mark.parametrize("mesh", [tetrahedron, octahedron, book, bow_tie, triangle, box, messy, cone, hourglass])
 @pytest.mark.parametrize("target", [0, 1, 3, 5, 10_000])
-def test_small_and_broken_meshes_go_down_to_any_target_but_not_to_nothing(mesh, target):
+def test_small_and_broken_meshes_go_down_to_any_target(mesh, target):
     positions, faces = mesh()
     sound = int((np.diff(np.sort(faces, axis=1), axis=1) > 0).all(axis=1).sum())
     level = to((positions, faces), target)
-    assert len(level.faces) > 0
-    if level.stop == "triangles":
-        assert len(level.faces) <= target
-    else:  # what is left would go as a whole
-        assert level.stop == "last" and target < len(level.faces) <= 4 and components(level.faces) == 1
+    assert len(level.faces) <= target and level.stop == "triangles"
     if target == 10_000:
         assert len(level.faces) == sound
         assert np.array_equal(level.positions[level.faces], positions[faces[level.face_source]])
+    kept = to((positions, faces), target, options(keep_last=True))
+    assert len(kept.faces) > 0
+    if kept.stop != "triangles":  # what is left would go as a whole
+        assert kept.stop == "last" and target < len(kept.faces) <= 4 and components(kept.faces) == 1
 
 
 @pytest.mark.parametrize("mesh", [bumpy, sphere, torus])
