@@ -215,6 +215,12 @@ def _checked(
         raise InvalidMesh("more than 2^29 triangles in one mesh")
     _indices(faces, len(positions), "faces")
     _indices(wedges, len(values), "wedges")
+    if wedges is not faces:
+        owner = np.empty(len(values), np.int32)
+        owner[wedges] = faces
+        if not np.array_equal(owner[wedges], faces):
+            shared = int(wedges[owner[wedges] != faces][0])
+            raise InvalidMesh(f"wedge {shared} is used at more than one position")
     return (
         positions,
         faces,
@@ -227,6 +233,7 @@ def _checked(
 
 
 def _options(options: QuadricOptions, threads: int) -> _native.Options:
+    _check_options(options, threads)
     native = _native.Options()
     native.placement = PLACEMENTS.index(options.placement)
     native.weighting = WEIGHTINGS.index(options.weighting)
@@ -249,6 +256,27 @@ def _options(options: QuadricOptions, threads: int) -> _native.Options:
     ):
         setattr(native, name, getattr(options, name))
     return native
+
+
+def _check_options(options: QuadricOptions, threads: int) -> None:
+    if options.placement not in PLACEMENTS or options.weighting not in WEIGHTINGS:
+        raise InvalidMesh(f"placement is one of {PLACEMENTS}, weighting one of {WEIGHTINGS}")
+    ranges = {
+        "boundary_weight": (0, 1e9),
+        "seam_weight": (0, 1e9),
+        "crease_weight": (0, 1e9),
+        "crease_degrees": (0, 180),
+        "pair_distance": (0, np.finfo(np.float64).max),
+        "flip_degrees": (0, 90),
+        "round_share": (0, 1),
+        "max_error": (0, np.inf),
+    }
+    for name, (low, high) in ranges.items():
+        value = getattr(options, name)
+        if value is not None and not low <= value <= high:
+            raise InvalidMesh(f"{name} lies from {low:g} to {high:g} (got {value:g})")
+    if threads < 0:
+        raise InvalidMesh(f"threads must not be negative (got {threads})")
 
 
 def _level(data: dict[str, Any]) -> Level:

@@ -243,6 +243,40 @@ def test_arrays_that_do_not_fit_are_refused(change, message):
         kernel.decimate(**arguments)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"placement": "best"},
+        {"weighting": "none"},
+        {"boundary_weight": -1.0},
+        {"seam_weight": float("nan")},
+        {"crease_weight": float("inf")},
+        {"crease_degrees": 181.0},
+        {"flip_degrees": -1.0},
+        {"pair_distance": float("nan")},
+        {"round_share": 1.5},
+        {"max_error": -0.1},
+    ],
+    ids=str,
+)
+def test_options_out_of_range_are_refused(changes):
+    with pytest.raises(InvalidMesh, match=next(iter(changes))):
+        decimate(*bumpy(1), [8], options(**changes))
+
+
+def test_a_negative_number_of_threads_is_refused():
+    with pytest.raises(InvalidMesh, match="threads"):
+        decimate(*bumpy(1), [8], options(), threads=-1)
+
+
+def test_a_wedge_of_two_positions_is_refused():
+    """It cannot have one best value: what came out was not a number."""
+    positions, faces = bumpy(2)
+    arrays = {"values": np.zeros((2, 1), np.float32), "column_weights": [0.1]}
+    with pytest.raises(InvalidMesh, match="wedge"):
+        decimate(positions, faces, [40], options(), wedges=np.zeros_like(faces), **arrays)
+
+
 def test_index_arrays_of_other_widths_are_taken():
     expected = decimate(*GOOD, [8]).levels[0]
     for dtype in (np.int64, np.uint32, np.uint8):
