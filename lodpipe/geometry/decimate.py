@@ -97,9 +97,7 @@ def decimate_asset(
         joined.positions,
         joined.faces,
         [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted,
-        replace(
-            options, record=options.record or by_error, keep_last=fixed == 0, chart_column=joined.chart_column
-        ),
+        replace(options, record=options.record or by_error, keep_last=fixed == 0, chart_column=joined.chart_column),
         wedges=joined.wedges,
         values=values,
         column_weights=column_weights,
