@@ -175,9 +175,9 @@ class _Joined:
             mesh = asset.meshes[i]
             identity = np.array_equal(matrix, np.eye(4))
             positions.append(mesh.positions if identity else mesh.positions @ matrix[:3, :3].T + matrix[:3, 3])
-            faces.append(mesh.faces + np.int32(vertices))
+            faces.append(mesh.faces + np.int32(vertices) if vertices else mesh.faces)
             own, rows = _wedges(mesh)
-            wedges.append(own + np.int32(corners))
+            wedges.append(own + np.int32(corners) if corners else own)
             values.append(_attribute_table(mesh, names, widths, rows))
             importance.append(np.full(len(mesh.positions), max(len(places.get(i, [])), 1), np.float32))
             vertices += len(mesh.positions)
