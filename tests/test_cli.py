@@ -211,9 +211,15 @@ def test_public_names():
         _ = lodpipe.dceimate
 
 
+def heed_interrupts() -> None:
+    """A shell that runs the tests in the background has SIGINT ignored, and children inherit that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def program(*arguments: str, **options) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "lodpipe", *arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, preexec_fn=heed_interrupts, **pipes, **options)
 
 
 def test_help_is_fast():
