@@ -211,10 +211,8 @@ class _Joined:
         if not options.attribute_cost or not len(self.faces):
             return self.values, [0.0] * self.values.shape[1]
         corners = self.positions[self.faces]
-        area = float(
-            np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-        )
-        edge = float(np.sqrt(area / 2 / finest))
+        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        edge = float(np.sqrt(areas.sum() / 2 / finest))
         out: list[float] = []
         start = 0
         for name, width in zip(self.names, self.widths, strict=True):
@@ -228,8 +226,9 @@ class _Joined:
             elif name.startswith("TEXCOORD_"):
                 uv = table[self.wedges].astype(np.float64)
                 a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-                flat = float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
-                worth = weights.uv * float(np.sqrt(area / flat)) if flat > 0 else 0.0
+                flat = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+                has = flat > 0  # other meshes may have no UVs
+                worth = weights.uv * float(np.sqrt(areas[has].sum() / flat[has].sum())) if has.any() else 0.0
             out += [worth] * width
         return self.values, out
 

@@ -11,7 +11,7 @@ import lodpipe
 from lodpipe.core.asset import Asset, Target
 from lodpipe.core.errors import Cancelled, InvalidMesh
 from lodpipe.core.mesh import Mesh, Primitive
-from lodpipe.geometry.decimate import AttributeWeights, decimate, decimate_asset
+from lodpipe.geometry.decimate import AttributeWeights, _Joined, decimate, decimate_asset
 from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.flatten import flatten
 from measures import open_edges, volume, welded
@@ -300,6 +300,21 @@ def test_attribute_weights_say_where_a_texture_is_kept():
         return float((level.positions[level.faces].mean(axis=1)[:, 0] < 0.5).mean())
 
     assert share(0.5) > 0.6 > share(0.0)
+
+
+def test_what_uvs_are_worth_depends_on_textured_meshes_alone():
+    """A large mesh without UVs does not make the texture of a small one dearer."""
+    positions, faces = grid(8)
+    sheet = Mesh(positions, faces, attributes={"TEXCOORD_0": positions[:, :2].astype(np.float32)})
+    bare = Mesh(*sphere(4, 5.0))
+
+    def straight(*meshes):
+        joined = _Joined.of(asset(*meshes))
+        return joined.columns(options(), AttributeWeights(uv=0.1, normal=0, color=0), 100)[1]
+
+    assert straight(sheet) == pytest.approx([0.1, 0.1])  # a unit of UV is a unit of length
+    assert straight(sheet, bare) == pytest.approx([0.1, 0.1])
+    assert straight(bare) == []
 
 
 def test_levels_have_the_same_bytes_twice_and_with_threads():
