@@ -198,7 +198,7 @@ class Decimator {
 
   struct Block {
     std::vector<int32_t> todo, waiting;  // rows of order_
-    int64_t removed = 0;
+    int64_t removed = 0, done = 0;  // triangles, collapses
     std::array<int64_t, kStops> refused{};
     std::unique_ptr<Scratch> scratch = std::make_unique<Scratch>();
     Record record;
@@ -222,7 +222,7 @@ class Decimator {
     const int block_count =
         std::clamp(static_cast<int>(s_.live.size() / kLeastBlock), 1, kBlocks);
     blocks_.resize(kBlocks + 1);
-    for (Block& b : blocks_) b.todo.clear(), b.waiting.clear(), b.removed = 0, b.refused = {}, b.record = {}, b.ranks.clear();
+    for (Block& b : blocks_) b.todo.clear(), b.waiting.clear(), b.removed = b.done = 0, b.refused = {}, b.record = {}, b.ranks.clear();
     Block& rest = blocks_[kBlocks];
     int32_t width = std::numeric_limits<int32_t>::max();
     if (block_count > 1) {
@@ -247,53 +247,89 @@ class Decimator {
     for (const int32_t i : rest.todo)
       if (rest.removed < wanted) collapse(i, -1, width, wanted, rest);
     s_.triangles -= rest.removed;
-    int64_t failed = 0;
-    for (const Block& b : blocks_)
-      for (size_t k = 0; k < b.refused.size(); ++k) refused_[k] += b.refused[k], failed += b.refused[k];
+    int64_t tried = 0;  // links remove no triangle, and yet they are progress
+    for (const Block& b : blocks_) {
+      tried += b.done;
+      for (size_t k = 0; k < b.refused.size(); ++k) refused_[k] += b.refused[k], tried += b.refused[k];
+    }
     merge_records();
-    return rest.removed > 0 || failed > 0;
+    return tried > 0;
   }
 
   // Collapses candidate `i`. block < 0: anything goes; else only what stays inside the block and removes two faces.
   Outcome collapse(int32_t i, int block, int32_t width, int64_t wanted, Block& out) {
     int32_t v = order_[i], u = s_.partner[v];
-    Vertex &a = s_.vertices[v], &b = s_.vertices[u];
     if (s_.stamp[v] == round_ || s_.stamp[u] == round_ || ((s_.flags[v] | s_.flags[u]) & kDead)) return Outcome::touched;
     Scratch& w = *out.scratch;
     if (s_.flags[v] & kVanish) {
       if (block >= 0) return Outcome::wait;
       return vanish(i, v, w, out);
     }
+    const int shared = surround(v, u, w);
+    if (block >= 0 && !(inside(w.near_v, block, width) && inside(w.near_u, block, width))) return Outcome::wait;
+    if (block >= 0 && shared > 2) return Outcome::wait;
+    if (shared > 2 && shared > wanted - out.removed && out.removed > 0) return Outcome::touched;
+    if (options_.keep_last && block < 0 && s_.triangles - out.removed <= shared) return refuse(order_[i], out, Stop::last);
+    Vec3 x;
+    float error;
+    const Stop why = guard(&v, &u, shared, w, &x, &error);
+    if (why != Stop::triangles) return refuse(order_[i], out, why);
+    apply(i, v, u, x, error, w, out);
+    s_.stamp[v] = s_.stamp[u] = round_;
+    out.removed += shared;
+    ++out.done;
+    return Outcome::done;
+  }
+
+  // Gathers what lies round v and u, faces on the edge apart from those that stay; the number of the former.
+  int surround(int32_t v, int32_t u, Scratch& w) {
     gather_ring(v, w.ring_v, w.near_v);
     gather_ring(u, w.ring_u, w.near_u);
-    if (block >= 0 && !(inside(w.near_v, block, width) && inside(w.near_u, block, width))) return Outcome::wait;
-    // faces on the edge apart from those that stay
     w.between.clear();
     split(w.ring_v, u, &w.between);
     split(w.ring_u, v, nullptr);
     int shared = 0;
     for (const int32_t c : w.between) shared += !s_.faces[face_of(c)].link();
-    if (block >= 0 && shared > 2) return Outcome::wait;
-    if (shared > 2 && shared > wanted - out.removed && out.removed > 0) return Outcome::touched;
-    if (options_.keep_last && block < 0 && s_.triangles - out.removed <= shared) return refuse(order_[i], out, Stop::last);
-    if (keep_topology_ && !link_condition(v, u, shared, w)) return refuse(order_[i], out, Stop::topology);
+    return shared;
+  }
+
+  // What forbids the collapse (Stop::triangles: nothing does), and where it leads to: v is the vertex that stays then.
+  Stop guard(int32_t* v, int32_t* u, int shared, Scratch& w, Vec3* x, float* error) const {
+    if (keep_topology_ && !link_condition(*v, *u, shared, w)) return Stop::topology;
+    if (in_.locked && strands_locked(*v, *u, w)) return Stop::locked;
     Vec3 y;
-    const float cost = w.merge.place(s_, options_, v, u, &y);
-    if (!(cost < kInfinity)) return refuse(order_[i], out, w.merge.locked ? Stop::locked : Stop::seams);
-    const float error = std::max({a.error, b.error, w.merge.deviation});
-    if (error > max_error_) return refuse(order_[i], out, Stop::error);
-    if (w.merge.kept == u) {
-      std::swap(v, u);
+    const float cost = w.merge.place(s_, options_, *v, *u, &y);
+    if (!(cost < kInfinity)) return w.merge.locked ? Stop::locked : Stop::seams;
+    *error = std::max({s_.vertices[*v].error, s_.vertices[*u].error, w.merge.deviation});
+    if (*error > max_error_) return Stop::error;
+    if (w.merge.kept == *u) {
+      std::swap(*v, *u);
       std::swap(w.ring_v, w.ring_u);
       std::swap(w.near_v, w.near_u);
     }
-    const Vec3 x = s_.vertices[v].p + y;
-    if (turns(w.ring_v, v, x) || turns(w.ring_u, u, x)) return refuse(order_[i], out, Stop::flip);
+    *x = s_.vertices[*v].p + y;
+    return turns(w.ring_v, *v, *x) || turns(w.ring_u, *u, *x) ? Stop::flip : Stop::triangles;
+  }
 
-    apply(i, v, u, x, error, w, out);
-    s_.stamp[v] = s_.stamp[u] = round_;
-    out.removed += shared;
-    return Outcome::done;
+  // Would a locked vertex lose its last face?
+  bool strands_locked(int32_t v, int32_t u, const Scratch& w) const {
+    const auto stays = [&](int32_t c) {
+      const Face& f = s_.faces[face_of(c)];
+      return !f.dead() && !f.link() && !(has(f, v) && has(f, u));
+    };
+    if ((s_.flags[v] | s_.flags[u]) & kLocked && std::none_of(w.ring_v.begin(), w.ring_v.end(), stays) &&
+        std::none_of(w.ring_u.begin(), w.ring_u.end(), stays))
+      return true;
+    for (const int32_t between : w.between) {
+      const Face& f = s_.faces[face_of(between)];
+      if (f.link()) continue;
+      const int32_t opposite = f.v[0] + f.v[1] + f.v[2] - u - v;
+      if (!(s_.flags[opposite] & kLocked)) continue;
+      int32_t c = s_.vertices[opposite].head;
+      while (c != kNone && !stays(c)) c = s_.faces[face_of(c)].next[slot_of(c)];
+      if (c == kNone) return true;
+    }
+    return false;
   }
 
   Outcome refuse(int32_t v, Block& out, Stop why) {
@@ -358,7 +394,10 @@ class Decimator {
   // boundaries are not pinched together.
   bool link_condition(int32_t v, int32_t u, int shared, Scratch& w) const {
     size_t common = 0;
-    for (const Neighbour& n : w.near_u) common += find(w.near_v, n.vertex) != nullptr;
+    for (const Neighbour& n : w.near_u) {  // along edges: links do not hold a surface together
+      const Neighbour* other = n.faces ? find(w.near_v, n.vertex) : nullptr;
+      common += other && other->faces;
+    }
     w.before.clear();
     for (const int32_t c : w.between) {
       const Face& f = s_.faces[face_of(c)];
@@ -475,6 +514,7 @@ class Decimator {
   Outcome vanish(int32_t rank, int32_t v, Scratch& w, Block& out) {
     if (!gather_component(v, w.before)) {
       s_.flags[v] |= kDirty;
+      ++out.done;
       return Outcome::touched;
     }
     Vertex& a = s_.vertices[v];
@@ -490,6 +530,7 @@ class Decimator {
     each([&](const Face&, int slot) { removed += slot == 0; });
     if (options_.keep_last && s_.triangles - out.removed <= removed) return refuse(v, out, Stop::last);
     each([](Face& f, int) { f.v[0] = kNone; });
+    const int32_t last = w.before[w.before.size() - 1];
     for (const int32_t m : w.before) {
       s_.flags[m] = kDead;
       s_.cost[m] = kInfinity;
@@ -497,11 +538,12 @@ class Decimator {
       if (options_.record && m != v) {
         Merge none;
         none.reset();
-        note(rank, v, m, m == w.before[1] ? removed : 0, none, out);
+        note(rank, v, m, m == last ? removed : 0, none, out);  // no prefix may count them and keep some
       }
     }
     s_.vertices[v].head = kNone;
     out.removed += removed;
+    ++out.done;
     return Outcome::done;
   }
 
@@ -520,7 +562,9 @@ class Decimator {
       r.wedge_event.push_back(row);
       r.wedge_from.push_back(from);
       r.wedge_to.push_back(to);
-      for (int k = 0; k < s_.columns; ++k) r.wedge_values.push_back(s_.value[static_cast<size_t>(to) * s_.columns + k]);
+      const size_t at = r.wedge_values.size();
+      r.wedge_values.resize(at + s_.columns);
+      values_of(to, r.wedge_values.data() + at);
     }
   }
 
@@ -556,11 +600,8 @@ class Decimator {
         out.wedge_event.push_back(event);
         out.wedge_from.push_back(s_.wedge_source[r.wedge_from[e]]);
         out.wedge_to.push_back(s_.wedge_source[r.wedge_to[e]]);
-        const size_t row = out.wedge_values.size();
-        out.wedge_values.resize(row + s_.columns);
-        for (int k = 0; k < s_.columns; ++k)
-          out.wedge_values[row + s_.column_source[k]] =
-              r.wedge_values[static_cast<size_t>(e) * s_.columns + k] / s_.column_scale[k];
+        const auto values = r.wedge_values.begin() + static_cast<int64_t>(e) * s_.columns;
+        out.wedge_values.insert(out.wedge_values.end(), values, values + s_.columns);
       }
     }
   }
@@ -575,9 +616,31 @@ class Decimator {
       return Stop::triangles;
     }
     if (max_error_ < kInfinity && refused_[static_cast<size_t>(Stop::error)]) return Stop::error;
+    if (refused_[static_cast<size_t>(Stop::last)]) return Stop::last;
+    return holding();
+  }
+
+  // What forbids most of the collapses that are left, those included that were never candidates.
+  Stop holding() {
+    std::array<int64_t, kStops> count{};
+    Scratch w;
+    std::vector<int32_t> others;
+    for (const int32_t lower : s_.live) {
+      gather_ring(lower, w.ring_v, w.near_v);
+      others.clear();
+      for (const Neighbour& n : w.near_v)
+        if (n.vertex > lower) others.push_back(n.vertex);
+      for (const int32_t other : others) {
+        int32_t v = lower, u = other;
+        Vec3 x;
+        float error;
+        const int shared = surround(v, u, w);
+        ++count[static_cast<size_t>(guard(&v, &u, shared, w, &x, &error))];
+      }
+    }
     Stop worst = Stop::topology;
-    for (size_t k = static_cast<size_t>(Stop::topology); k <= static_cast<size_t>(Stop::last); ++k)
-      if (refused_[k] > refused_[static_cast<size_t>(worst)]) worst = static_cast<Stop>(k);
+    for (size_t k = static_cast<size_t>(Stop::topology); k <= static_cast<size_t>(Stop::locked); ++k)
+      if (count[k] > count[static_cast<size_t>(worst)]) worst = static_cast<Stop>(k);
     return worst;
   }
 
@@ -631,8 +694,14 @@ class Decimator {
     level.wedge_source.push_back(moved ? kNone : s_.wedge_source[w]);
     const size_t row = level.values.size();
     level.values.resize(row + s_.columns);
+    values_of(w, level.values.data() + row);
+  }
+
+  // A wedge's values in the input's order and scale; to the last bit the input's while it was not moved.
+  void values_of(int32_t w, float* out) const {
+    const bool moved = s_.columns && s_.wedge_moved[w];
     for (int k = 0; k < s_.columns; ++k)
-      level.values[row + s_.column_source[k]] =
+      out[s_.column_source[k]] =
           moved ? s_.value[static_cast<size_t>(w) * s_.columns + k] / s_.column_scale[k]
                 : in_.values[static_cast<size_t>(s_.wedge_source[w]) * s_.columns + s_.column_source[k]];
   }

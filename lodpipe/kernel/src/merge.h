@@ -212,7 +212,8 @@ class Merge {
         const float away = squared(found, wanted);
         if (away < nearest) nearest = away, best = found;
       }
-    const float part = nearest > 0 ? std::min(1.0f, kGutter / std::sqrt(nearest)) : 0.0f;
+    const float gutter = kGutter * s.column_scale[s.chart_column];  // values that steer are scaled
+    const float part = nearest > 0 ? std::min(1.0f, gutter / std::sqrt(nearest)) : 0.0f;
     step[0] = best.x + part * (wanted.x - best.x) - value[0];
     step[1] = best.y + part * (wanted.y - best.y) - value[1];
   }

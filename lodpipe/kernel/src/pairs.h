@@ -20,12 +20,6 @@ inline void add_links(float distance, State& s) {
   };
   const float size = std::max(distance, 1e-6f);  // at most 2²⁰ cells along an axis
   const auto place = [&](float x) { return static_cast<int64_t>(std::floor((x + 1) / size)); };
-  std::vector<Cell> cells;
-  for (int32_t v = 0; v < static_cast<int32_t>(s.vertices.size()); ++v) {
-    const Vec3 p = s.vertices[v].p;
-    cells.push_back({key(place(p.x), place(p.y), place(p.z)), v});
-  }
-  std::sort(cells.begin(), cells.end(), [](Cell a, Cell b) { return a.key != b.key ? a.key < b.key : a.vertex < b.vertex; });
   std::vector<uint64_t> edges;
   const auto edge = [](int32_t a, int32_t b) {
     return static_cast<uint64_t>(std::min(a, b)) << 32 | static_cast<uint32_t>(std::max(a, b));
@@ -34,6 +28,13 @@ inline void add_links(float distance, State& s) {
   for (const Face& f : s.faces)
     for (int k = 0; k < 3; ++k) edges.push_back(edge(f.v[k], f.v[(k + 1) % 3])), used[f.v[k]] = 1;
   std::sort(edges.begin(), edges.end());
+  std::vector<Cell> cells;
+  for (int32_t v = 0; v < static_cast<int32_t>(s.vertices.size()); ++v) {
+    if (!used[v]) continue;
+    const Vec3 p = s.vertices[v].p;
+    cells.push_back({key(place(p.x), place(p.y), place(p.z)), v});
+  }
+  std::sort(cells.begin(), cells.end(), [](Cell a, Cell b) { return a.key != b.key ? a.key < b.key : a.vertex < b.vertex; });
   for (int32_t v = 0; v < static_cast<int32_t>(s.vertices.size()); ++v) {
     const Vec3 p = s.vertices[v].p;
     if (!used[v]) continue;

@@ -12,13 +12,18 @@ namespace {
 constexpr int kGrain = 2048;
 
 void fit_unit_box(const Input& in, State& s) {
-  double lo[3], hi[3];
-  for (int k = 0; k < 3; ++k) lo[k] = hi[k] = in.vertex_count ? in.positions[k] : 0;
-  for (int64_t i = 0; i < in.vertex_count; ++i)
-    for (int k = 0; k < 3; ++k) {
-      lo[k] = std::min(lo[k], in.positions[3 * i + k]);
-      hi[k] = std::max(hi[k], in.positions[3 * i + k]);
+  double lo[3] = {0, 0, 0}, hi[3] = {0, 0, 0};
+  bool any = false;
+  for (int64_t f = 0; f < in.face_count; ++f) {  // positions that no face uses do not count
+    const int32_t* v = in.faces + 3 * f;
+    if (v[0] == v[1] || v[1] == v[2] || v[0] == v[2]) continue;
+    for (int i = 0; i < 9; ++i) {
+      const double x = in.positions[3 * static_cast<int64_t>(v[i / 3]) + i % 3];
+      lo[i % 3] = any || i > 2 ? std::min(lo[i % 3], x) : x;
+      hi[i % 3] = any || i > 2 ? std::max(hi[i % 3], x) : x;
     }
+    any = true;
+  }
   // halves first: the difference itself may overflow for coordinates near the limit
   const double half = std::hypot(hi[0] / 2 - lo[0] / 2, hi[1] / 2 - lo[1] / 2, hi[2] / 2 - lo[2] / 2);
   for (int k = 0; k < 3; ++k) s.center[k] = lo[k] / 2 + hi[k] / 2;
@@ -97,6 +102,10 @@ void place_wedges(const Input& in, const Options& options, State& s) {
     }
     if (pass == 0) s.steering = static_cast<int>(s.column_source.size());
   }
+  // u and v are looked at together: both steer, or neither
+  const auto v_column = static_cast<size_t>(s.chart_column) + 1;
+  if (s.chart_column >= 0 && (v_column >= s.column_source.size() || s.column_source[v_column] != options.chart_column + 1))
+    s.chart_column = -1;
   const size_t count = s.wedge_source.size();
   if (!s.columns) return;
   s.value.resize(count * s.columns);
