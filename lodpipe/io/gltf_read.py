@@ -28,6 +28,7 @@ FLOAT = 5126
 #: Vertex attributes that KHR_mesh_quantization allows as integers.
 _QUANTISABLE = ("POSITION", "NORMAL", "TANGENT", "TEXCOORD_")
 INSTANCING = "EXT_mesh_gpu_instancing"
+_LARGEST = 1e60  # times positions of up to 1e38, squared: still a float64
 _GLB_MAGIC, _JSON, _BIN = b"glTF", 0x4E4F534A, 0x004E4942
 #: What of the file's JSON is not kept in `Asset.document`, as meshes, materials and accessors hold it.
 _ARRAYS = ("accessors", "bufferViews", "buffers", "materials")
@@ -52,7 +53,7 @@ def read_gltf(folder: Folder, warn: Warn) -> Asset:
     reader.check_counts()
     meshes = tuple(reader.mesh(i) for i in range(len(tree.get("meshes", ()))))
     images = tuple(reader.image(i) for i in range(len(tree.get("images", ()))))
-    return Asset(
+    asset = Asset(
         name=folder.path.stem,
         meshes=meshes,
         materials=tuple(Material(m) for m in tree.get("materials", ())),
@@ -61,6 +62,17 @@ def read_gltf(folder: Folder, warn: Warn) -> Asset:
         accessors=tuple(reader.carried),
         format="glb" if binary else "gltf",
     )
+    _check_placements(asset)
+    return asset
+
+
+def _check_placements(asset: Asset) -> None:
+    """Raise AssetError where nodes place a mesh so far away, or so large, that lengths could not be computed."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        for index, matrix in asset.instances():
+            if not np.abs(matrix).max() < _LARGEST:  # NaN, too
+                advice = "the transforms of its nodes multiply up; check them in a 3-D program"
+                raise AssetError(f"it is placed beyond {_LARGEST:g} units", place=f"meshes[{index}]", advice=advice)
 
 
 def _chunks(data: bytes, warn: Warn) -> tuple[bytes, memoryview | None]:

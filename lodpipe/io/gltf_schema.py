@@ -11,7 +11,15 @@ from lodpipe.io.limits import Limits
 
 Json = dict[str, Any]
 
-_TEXTURE = {"index!": "->textures", "texCoord": int}
+_TEXTURE = {
+    "index!": "->textures",
+    "texCoord": int,
+    "scale": float,
+    "strength": float,
+    "extensions": {
+        "KHR_texture_transform": {"offset": (float, 2), "scale": (float, 2), "rotation": float, "texCoord": int}
+    },
+}
 #: A dict is an object: `!` marks what must be there, `*` is any other key. A list is an array of its one item.
 #: `->x` is a row of the top-level array x. (float, n) is an array of n numbers.
 SHAPE: Json = {
@@ -54,6 +62,8 @@ SHAPE: Json = {
             "name": str,
             "pbrMetallicRoughness": {
                 "baseColorFactor": (float, 4),
+                "metallicFactor": float,
+                "roughnessFactor": float,
                 "baseColorTexture": _TEXTURE,
                 "metallicRoughnessTexture": _TEXTURE,
             },

@@ -156,6 +156,14 @@ def test_absent_normals_stay_absent(tmp_path: Path) -> None:
     assert one(tmp_path, primitive, g).meshes[0].attributes == {}
 
 
+def test_a_mesh_that_is_placed_beyond_all_numbers_is_refused(tmp_path: Path) -> None:
+    g = files.Gltf()
+    g.mesh({"attributes": {"POSITION": g.array(files.TRIANGLE)}})
+    g.tree["nodes"] = [{"scale": [1e200, 1, 1], "children": [1]}, {"scale": [1e200, 1, 1], "mesh": 0}]
+    with pytest.raises(AssetError, match=r"meshes\[0\]: it is placed beyond 1e\+60 units"):
+        io.load(g.save(tmp_path / "m.glb"))
+
+
 def test_skins_and_morph_targets_keep_their_mesh(tmp_path: Path) -> None:
     asset = io.load(files.rich().save(tmp_path / "m.glb"))
     assert [m.keep_reason for m in asset.meshes] == ["", "skinned and morph targets", ""]
