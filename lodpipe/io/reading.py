@@ -86,6 +86,8 @@ def _load(path: Path, limits: Limits) -> Asset:
 
 def _check_magic(path: Path, suffix: str) -> None:
     try:
+        if not path.is_file():  # opening a pipe would wait for somebody to write
+            return
         with path.open("rb") as file:
             start = file.read(4)
     except OSError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import subprocess
 import sys
 import tempfile
@@ -236,6 +237,10 @@ def test_limits_and_unknown_formats(tmp_path: Path) -> None:
     (tmp_path / "folder.glb").mkdir()
     with pytest.raises(AssetError, match="not a regular file"):
         io.load(tmp_path / "folder.glb")
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe.glb")
+        with pytest.raises(AssetError, match="not a regular file"):
+            io.load(tmp_path / "pipe.glb")
 
 
 def test_triangles_are_counted_before_they_are_cut(tmp_path: Path) -> None:
