@@ -195,12 +195,14 @@ def _inspect(options: argparse.Namespace) -> int:
     import dataclasses
 
     from lodpipe import io
-    from lodpipe.geometry.topology import topology_defects, uv_defects
+    from lodpipe.geometry.topology import topology_defects
+    from lodpipe.geometry.uv_defects import texture_sizes, uv_defects
     from lodpipe.reporting.inspection import inspection, inspection_json, inspection_text
 
     asset = io.load(Path(options.asset))
     topology = [dataclasses.asdict(topology_defects(mesh)) for mesh in asset.meshes]
-    uv = [[dataclasses.asdict(entry) for entry in uv_defects(mesh)] for mesh in asset.meshes]
+    sizes = texture_sizes(asset)
+    uv = [[dataclasses.asdict(entry) for entry in uv_defects(mesh, sizes)] for mesh in asset.meshes]
     data = inspection(asset, topology, uv)
     print(inspection_json(data) if options.json else "\n".join(inspection_text(data)))
     return 0

@@ -194,7 +194,7 @@ def test_inspect(main):
     data = json.loads(main("inspect", "a.obj", "--json")[1])
     assert data["meshes"]["properties"][0]["glPrimitives"] == 32
     assert data["topology"][0]["boundary_edges"] == 16
-    assert data["uv"][0]["missing"] == 32
+    assert data["uv"][0]["missing_faces"] == 32
     code, _, err = main("inspect", "none.obj")
     assert (code, err) == (1, "error: none.obj: no such file\n")
 

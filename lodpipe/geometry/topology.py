@@ -33,20 +33,6 @@ class TopologyDefects:
     """Positions that no face uses."""
 
 
-@dataclass(frozen=True)
-class UvDefects:
-    """Counts of faces for one UV set of one mesh."""
-
-    set: str
-    """TEXCOORD_0, …"""
-    missing: int
-    """Faces that have no such UVs."""
-    outside: int
-    """Faces that leave [0, 1]: tiling, or a mistake."""
-    zero_area: int
-    """Faces with an area in space but none in UV space."""
-
-
 def topology_defects(mesh: Mesh) -> TopologyDefects:
     """Count the defects of `mesh`'s connectivity."""
     faces = mesh.faces
@@ -67,17 +53,10 @@ def topology_defects(mesh: Mesh) -> TopologyDefects:
         boundary_edges=int((count == 1).sum()),
         nonmanifold_edges=int((count > 2).sum()),
         inconsistent_winding=int((forward[pairs] == forward[pairs + 1]).sum()) if len(pairs) else 0,
-        degenerate_faces=int(_without_area(mesh).sum()),
+        degenerate_faces=int(without_area(mesh).sum()),
         duplicate_faces=int((sorted_corners[1:] == sorted_corners[:-1]).all(axis=1).sum()),
         unused_positions=int((~used).sum()),
     )
-
-
-def uv_defects(mesh: Mesh) -> list[UvDefects]:
-    """Count the simple defects of each of `mesh`'s UV sets; TEXCOORD_0 is always among them."""
-    solid = ~_without_area(mesh)
-    names = sorted({"TEXCOORD_0", *(name for name in mesh.attributes if name.startswith("TEXCOORD_"))})
-    return [_uv_set(mesh, name, solid) for name in names]
 
 
 def components(faces: I32, count: int) -> I32:
@@ -101,20 +80,7 @@ def components(faces: I32, count: int) -> I32:
     return labels
 
 
-def _uv_set(mesh: Mesh, name: str, solid: NDArray[np.bool_]) -> UvDefects:
-    values = mesh.attributes.get(name)
-    if values is None:
-        return UvDefects(name, len(mesh.faces), 0, 0)
-    has = np.array([name in primitive.attributes for primitive in mesh.primitives], bool)[mesh.face_primitive]
-    uv = values[mesh.wedges].astype(np.float64)
-    outside = ((uv < 0) | (uv > 1)).any(axis=(1, 2))
-    a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    zero = _flat(area, a, b) & solid
-    return UvDefects(name, int((~has).sum()), int((outside & has).sum()), int((zero & has).sum()))
-
-
-def _without_area(mesh: Mesh) -> NDArray[np.bool_]:
+def without_area(mesh: Mesh) -> NDArray[np.bool_]:
     """(F,) which faces have no area, whatever the mesh's size."""
     corners = [mesh.positions[mesh.faces[:, k]] for k in range(3)]
     a, b = corners[1] - corners[0], corners[2] - corners[0]
@@ -122,6 +88,12 @@ def _without_area(mesh: Mesh) -> NDArray[np.bool_]:
     scale = np.where(largest > 0, largest, 1.0)  # so that squares neither overflow nor vanish
     a, b = a / scale, b / scale
     return _flat(np.sqrt((np.cross(a, b) ** 2).sum(axis=1)), a, b)
+
+
+def flat_faces(uv: F64) -> NDArray[np.bool_]:
+    """(F,) which triangles (F, 3, 2) have no area in the plane."""
+    a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    return _flat(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), a, b)
 
 
 def _flat(doubled_area: F64, a: F64, b: F64) -> NDArray[np.bool_]:

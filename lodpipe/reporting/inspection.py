@@ -21,6 +21,22 @@ _TABLES = {
     "animations": ("name", "channels", "samplers", "duration", "keyframes", "size"),
 }
 _SIZES = {"size", "gpuSize"}
+_UV_COLUMNS = {
+    "mesh": "mesh",
+    "set": "set",
+    "charts": "charts",
+    "missing_faces": "missing",
+    "zero_area_faces": "no area",
+    "overlap_percent": "overlap %",
+    "overlap_kind": "kind",
+    "flipped_percent": "flipped %",
+    "out_of_range_percent": "outside %",
+    "min_gutter_texels": "gutter",
+    "stretch_l2": "stretch",
+    "density_cv": "density ±",
+    "seam_length": "seams",
+}
+"""What the table for people shows of a UV set, and its heads there."""
 
 
 def inspection(
@@ -28,17 +44,18 @@ def inspection(
 ) -> dict[str, Any]:
     """The asset as data: `scenes`, `meshes`, `materials`, `textures`, `animations`, each with a list `properties`.
 
-    `topology` and `uv` hold the defects of each mesh, and stand beside them under those names. Types and sizes are
-    those of the arrays as lodpipe writes them.
+    `topology` and `uv` hold the defects of each mesh, and stand beside them under those names; a mesh's `uv` has the
+    figures of its first UV set. Types and sizes are those of the arrays as lodpipe writes them.
     """
     names = [mesh.name for mesh in asset.meshes]
+    meshes = [{**_mesh(asset, index), "uv": dict(uv[index][0])} for index in range(len(asset.meshes))]
     return {
         "asset": asset.name,
         "format": asset.format,
         "triangles": asset.triangles,
         "vertices": asset.vertices,
         "scenes": {"properties": _scenes(asset)},
-        "meshes": {"properties": [_mesh(asset, index) for index in range(len(asset.meshes))]},
+        "meshes": {"properties": meshes},
         "materials": {"properties": [_material(asset, index) for index in range(len(asset.materials))]},
         "textures": {"properties": [_texture(asset, index) for index in range(len(asset.images))]},
         "animations": {"properties": [_animation(asset, entry) for entry in asset.document.get("animations", ())]},
@@ -56,10 +73,11 @@ def inspection_text(data: Mapping[str, Any]) -> list[str]:
         rows = data[part]["properties"]
         if rows:
             lines += ["", part, *_rows(columns, rows)]
-    for part in ("topology", "uv"):
-        if data[part]:
-            columns = tuple(data[part][0])
-            lines += ["", f"{part} defects", *_rows(columns, data[part])]
+    if data["topology"]:
+        lines += ["", "topology defects", *_rows(tuple(data["topology"][0]), data["topology"])]
+    if data["uv"]:
+        rows = [{title: row[name] for name, title in _UV_COLUMNS.items()} for row in data["uv"]]
+        lines += ["", "uv defects", *_rows(tuple(_UV_COLUMNS.values()), rows)]
     if data["warnings"]:
         lines += ["", "warnings", *(f"  {clean(text)}" for text in data["warnings"])]
     return lines

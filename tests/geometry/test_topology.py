@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from chains import triangle_soup
-from lodpipe.core.mesh import Mesh, Primitive
-from lodpipe.geometry.topology import TopologyDefects, UvDefects, components, topology_defects, uv_defects
+from lodpipe.core.mesh import Mesh
+from lodpipe.geometry.topology import TopologyDefects, components, topology_defects
 from meshes import box, grid, sphere
 
 NONE = TopologyDefects(1, 0, 0, 0, 0, 0, 0)
@@ -69,31 +69,3 @@ def test_a_long_chain_is_one_part():
     chain = np.stack([np.arange(5000), np.arange(5000) + 1, np.arange(5000) + 2], axis=1)
     shuffled = np.random.default_rng(0).permutation(5002)[chain].astype(np.int32)
     assert not components(shuffled, 5002).any()
-
-
-def uv_mesh(uv, **fields):
-    positions, faces = grid(1)
-    return Mesh(positions, faces, attributes={"TEXCOORD_0": np.array(uv, np.float32)}, **fields)
-
-
-def test_uv_defects_are_counted():
-    square = [[0, 0], [0, 1], [1, 0], [1, 1]]
-    assert uv_defects(uv_mesh(square)) == [UvDefects("TEXCOORD_0", 0, 0, 0)]
-    assert uv_defects(uv_mesh([[0, 0], [0, 1], [1, 0], [1.5, 1]])) == [UvDefects("TEXCOORD_0", 0, 2, 0)]
-    assert uv_defects(uv_mesh([[0.5, 0.5]] * 4)) == [UvDefects("TEXCOORD_0", 0, 0, 2)]
-    point = Mesh(np.zeros((3, 3)), [[0, 1, 2]], attributes={"TEXCOORD_0": np.zeros((3, 2), np.float32)})
-    assert uv_defects(point) == [UvDefects("TEXCOORD_0", 0, 0, 0)]
-
-
-def test_missing_uvs_are_counted_by_primitive():
-    assert uv_defects(Mesh(*grid(1))) == [UvDefects("TEXCOORD_0", 2, 0, 0)]
-    positions, faces = grid(1)
-    mesh = Mesh(
-        positions,
-        faces,
-        wedges=[[0, 1, 2], [3, 4, 5]],
-        attributes={"TEXCOORD_0": np.array([[0, 0], [1, 0], [1, 1], [0, 0], [0, 0], [0, 0]], np.float32)},
-        face_primitive=[0, 1],
-        primitives=(Primitive(0, ("TEXCOORD_0",)), Primitive(1, ())),
-    )
-    assert uv_defects(mesh) == [UvDefects("TEXCOORD_0", 1, 0, 0)]

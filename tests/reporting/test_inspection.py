@@ -11,7 +11,8 @@ import pytest
 from lodpipe.core.asset import Accessor, Asset
 from lodpipe.core.material import Image, Material
 from lodpipe.core.mesh import Mesh, Primitive
-from lodpipe.geometry.topology import topology_defects, uv_defects
+from lodpipe.geometry.topology import topology_defects
+from lodpipe.geometry.uv_defects import uv_defects
 from lodpipe.reporting.inspection import inspection, inspection_json, inspection_text
 from meshes import box
 
@@ -84,6 +85,7 @@ def test_meshes():
         "instances": 2,
         "size": counts[0] * 32 + counts[1] * 24 + 36 * 2,
         "keepReason": "",
+        "uv": dataclasses.asdict(uv_defects(asset().meshes[0])[0]),
     }
 
 
@@ -143,7 +145,9 @@ def test_a_file_without_scenes_has_one():
 def test_defects_and_warnings_are_beside_them():
     data = inspected(asset())
     assert data["topology"][0] == {"mesh": "cube", **dataclasses.asdict(topology_defects(asset().meshes[0]))}
-    assert data["uv"] == [{"mesh": "cube", "set": "TEXCOORD_0", "missing": 6, "outside": 0, "zero_area": 6}]
+    (entry,) = data["uv"]
+    assert entry == {"mesh": "cube", **dataclasses.asdict(uv_defects(asset().meshes[0])[0])}
+    assert (entry["set"], entry["missing_faces"], entry["zero_area_faces"]) == ("TEXCOORD_0", 6, 6)
     assert data["warnings"] == ["a hole"]
     assert json.loads(inspection_json(data)) == data
 

@@ -8,6 +8,7 @@
 #include <memory>
 
 #include "decimate.h"
+#include "uv.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -110,6 +111,67 @@ nb::dict edge_costs(Table<double> positions, Table<int32_t> faces, Table<int32_t
   return out;
 }
 
+lodpipe::UvFaces uv_faces(const Table<double>& uv, const Column<int32_t>& chart, const Column<int32_t>& group) {
+  return {uv.data(), chart.data(), group.data(), static_cast<int>(uv.shape(0))};
+}
+
+nb::object chart_labels(Table<int32_t> faces) {
+  std::vector<int32_t> labels;
+  {
+    nb::gil_scoped_release release;
+    labels = lodpipe::chart_labels(faces.data(), static_cast<int>(faces.shape(0)));
+  }
+  return give(labels, 0);
+}
+
+nb::dict uv_overlaps(Table<double> uv, Column<int32_t> chart, Column<int32_t> group, double slack, int64_t limit) {
+  lodpipe::UvOverlaps found;
+  {
+    nb::gil_scoped_release release;
+    found = lodpipe::uv_overlaps(uv_faces(uv, chart, group), slack, limit);
+  }
+  nb::dict out;
+  out["charts"] = give(found.charts, 2);
+  out["area"] = give(found.area, 2);
+  out["faces"] = give(found.faces, 0);
+  out["complete"] = found.complete;
+  return out;
+}
+
+nb::object uv_coverage(Table<double> uv, Column<int32_t> group, int groups, int lines) {
+  std::vector<double> areas;
+  {
+    nb::gil_scoped_release release;
+    areas = lodpipe::uv_coverage(uv_faces(uv, group, group), groups, lines);
+  }
+  return give(areas, 2);
+}
+
+nb::object uv_gaps(Table<double> segments, Column<int32_t> chart, Column<int32_t> group, int groups, double reach) {
+  std::vector<double> gaps;
+  {
+    nb::gil_scoped_release release;
+    gaps = lodpipe::uv_gaps(segments.data(), chart.data(), group.data(), static_cast<int>(segments.shape(0)), groups,
+                            reach);
+  }
+  return give(gaps, 0);
+}
+
+nb::dict uv_raster(Table<double> uv, Table<int32_t> edges, int left, int top, int width, int height, double reach,
+                   int threads) {
+  lodpipe::UvRaster found;
+  {
+    nb::gil_scoped_release release;
+    found = lodpipe::uv_raster(uv.data(), static_cast<int>(uv.shape(0)), edges.data(),
+                               static_cast<int>(edges.shape(0)), left, top, width, height, reach, threads);
+  }
+  nb::dict out;
+  out["faces"] = give(found.faces, width);
+  out["weights"] = give(found.weights, 3);
+  out["inside"] = give(found.inside, width);
+  return out;
+}
+
 template <class Enum>
 auto as_int(Enum lodpipe::Options::*field) {
   return std::pair([field](const lodpipe::Options& o) { return static_cast<int>(o.*field); },
@@ -147,4 +209,12 @@ NB_MODULE(_native, m) {
   m.def("edge_costs", &edge_costs, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(),
         "values"_a.noconvert(), "column_weights"_a.noconvert(), "importance"_a.noconvert().none(),
         "locked"_a.noconvert().none(), "options"_a);
+  m.def("chart_labels", &chart_labels, "faces"_a.noconvert());
+  m.def("uv_overlaps", &uv_overlaps, "uv"_a.noconvert(), "chart"_a.noconvert(), "group"_a.noconvert(), "slack"_a,
+        "limit"_a);
+  m.def("uv_coverage", &uv_coverage, "uv"_a.noconvert(), "group"_a.noconvert(), "groups"_a, "lines"_a);
+  m.def("uv_gaps", &uv_gaps, "segments"_a.noconvert(), "chart"_a.noconvert(), "group"_a.noconvert(), "groups"_a,
+        "reach"_a);
+  m.def("uv_raster", &uv_raster, "uv"_a.noconvert(), "edges"_a.noconvert(), "left"_a, "top"_a, "width"_a, "height"_a,
+        "reach"_a, "threads"_a);
 }
