@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodpipe.core.material import Image, Material
+from lodpipe.core.material import Image, Material, MaterialSet, renumbered
 from lodpipe.core.mesh import F64, Mesh
 
 
@@ -91,6 +91,8 @@ class Lod:
     """None until a stage has settled it."""
     relaxed: bool = False
     """Whether holes or handles had to be given up to reach the target."""
+    own: MaterialSet | None = None
+    """Materials and textures made for this level, which its meshes' primitives then name; None: the asset's."""
 
     @property
     def triangles(self) -> int:
@@ -142,6 +144,39 @@ class Asset:
         """Vertices stored as a GPU sees them (wedges)."""
         return sum(mesh.wedge_count for mesh in self.meshes)
 
+    def at(self, level: Lod) -> Asset:
+        """The asset with `level`'s meshes and materials in the place of its own, and without levels."""
+        asset = replace(self, meshes=level.meshes, lods=())
+        if level.own is None:
+            return asset
+        named = {"textures": list(level.own.textures), "samplers": list(level.own.samplers)}
+        document = {key: value for key, value in self.document.items() if key not in ("images", *named)}
+        return replace(
+            asset,
+            materials=level.own.materials,
+            images=level.own.images,
+            document=document | {key: value for key, value in named.items() if value},
+        )
+
+    def with_one_material_set(self) -> Asset:
+        """The same levels, with the materials and textures of all of them in the asset's own lists: for one file."""
+        materials, images = list(self.materials), list(self.images)
+        textures, samplers = (list(self.document.get(key, ())) for key in ("textures", "samplers"))
+        levels = []
+        for level in self.lods:
+            own, first = level.own, len(materials)
+            if own is not None:
+                shift = {"texture": len(textures), "source": len(images), "sampler": len(samplers)}
+                materials += [Material(renumbered(dict(m.gltf), shift)) for m in own.materials]
+                textures += renumbered(own.textures, shift)
+                images += own.images
+                samplers += own.samplers
+                level = replace(level, meshes=tuple(_shifted(m, first) for m in level.meshes), own=None)
+            levels.append(level)
+        lists = {"textures": textures, "samplers": samplers}
+        document = {**self.document, **{key: value for key, value in lists.items() if value}}
+        return replace(self, materials=tuple(materials), images=tuple(images), document=document, lods=tuple(levels))
+
     def instances(self) -> list[tuple[int, F64]]:
         """(mesh index, 4×4 float64 world matrix) for each placement of a mesh in the default scene.
 
@@ -168,6 +203,8 @@ class Asset:
             digest.update(mesh.fingerprint().encode())
         for level in self.lods:
             digest.update("".join(mesh.fingerprint() for mesh in level.meshes).encode())
+            if level.own is not None:
+                digest.update(self.at(level).fingerprint().encode())
         for image in self.images:
             digest.update(image.data + repr((image.name, image.uri, image.problem)).encode())
         for accessor in self.accessors:
@@ -175,6 +212,12 @@ class Asset:
         tree = [dict(self.document), [dict(m.gltf) for m in self.materials], self.name]
         digest.update(json.dumps(tree, sort_keys=True, default=str).encode())
         return digest.hexdigest()
+
+
+def _shifted(mesh: Mesh, first: int) -> Mesh:
+    """`mesh` with `first` added to the materials of its primitives."""
+    moved = tuple(p if p.material is None else replace(p, material=p.material + first) for p in mesh.primitives)
+    return replace(mesh, primitives=moved)
 
 
 def node_matrix(node: Mapping[str, Any]) -> F64:

@@ -88,6 +88,38 @@ class Material:
         return bool(self.gltf.get("doubleSided", False))
 
 
+@dataclass(frozen=True)
+class MaterialSet:
+    """Materials with all that they name: rows of `textures` are their textures, whose sources are rows of `images`
+    and whose samplers rows of `samplers`; both are glTF objects."""
+
+    materials: tuple[Material, ...]
+    images: tuple[Image, ...] = ()
+    textures: tuple[Mapping[str, Any], ...] = ()
+    samplers: tuple[Mapping[str, Any], ...] = ()
+
+
+def renumbered(tree: Any, shift: Mapping[str, int]) -> Any:
+    """A copy of a glTF object in which references are moved on: `shift` has how far by their kind.
+
+    Kinds: ``texture`` (the index of a slot such as baseColorTexture), ``source`` and ``sampler`` (of a texture).
+    `extras` are not looked into.
+    """
+    if isinstance(tree, list | tuple):
+        return [renumbered(item, shift) for item in tree]
+    if not isinstance(tree, Mapping):
+        return tree
+    result: dict[str, Any] = {}
+    for key, value in tree.items():
+        if key in ("source", "sampler") and isinstance(value, int):
+            result[key] = value + shift.get(key, 0)
+        elif key.lower().endswith("texture") and isinstance(value, Mapping) and isinstance(value.get("index"), int):
+            result[key] = {**renumbered(value, shift), "index": value["index"] + shift.get("texture", 0)}
+        else:
+            result[key] = value if key == "extras" else renumbered(value, shift)
+    return result
+
+
 def texture_ref(info: Mapping[str, Any] | None) -> TextureRef | None:
     """The glTF textureInfo object `info` as a TextureRef, None for None."""
     if info is None:

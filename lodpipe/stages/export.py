@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -41,15 +42,15 @@ def export(asset: Asset, params: ExportParams, context: Context) -> Asset:
         for kind in formats:
             context.check_cancelled()
             path = folder / f"{asset.name}_LOD{number}.{kind}"
-            written = io.save(asset, path, meshes=level.meshes, warn=context.warn)
+            written = io.save(asset.at(level), path, warn=context.warn)
             _note(context, number, written)
             done += 1
             context.progress(done, total)
     if params.combined:
         path = context.output / f"{asset.name}.glb"
-        written = io.save_combined(
-            asset, path, [level.meshes for level in levels], coverages(levels), warn=context.warn
-        )
+        whole = dataclasses.replace(asset, lods=levels).with_one_material_set()
+        meshes = [level.meshes for level in whole.lods]
+        written = io.save_combined(whole, path, meshes, coverages(levels), warn=context.warn)
         _note(context, -1, written)
         context.progress(total, total)
     return asset
