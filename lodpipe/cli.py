@@ -70,6 +70,46 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--json", action="store_true", help="one JSON document on stdout, when all is done")
     run.set_defaults(command=_run)
 
+    watch = commands.add_parser("watch", help="do the same for whatever turns up in a folder", description=_WATCH)
+    watch.add_argument("drop", metavar="DROP", help="the folder to watch, with all below it")
+    _config_arguments(watch, flag=True)
+    watch.add_argument("-o", "--output", default="out", metavar="OUT", help="output folder (default: %(default)s)")
+    watch.add_argument("--once", action="store_true", help="do what is there, then end (exit code 1 if some failed)")
+    watch.add_argument(
+        "--poll", type=float, metavar="S", help="look at the folder every S seconds, without file events"
+    )
+    watch.add_argument("--workers", type=_count, metavar="N", help="assets at a time")
+    watch.add_argument("--executor", metavar="NAME", help="where jobs run: local, dask, or a plug-in")
+    watch.add_argument("--scheduler", metavar="ADDRESS", help="of the executor: tcp://farm:8786")
+    watch.add_argument("--port", type=int, metavar="PORT", help="status page, /healthz and /metrics on 127.0.0.1")
+    watch.add_argument(
+        "--log", choices=("json", "text"), help="form of the log (default: text on a terminal, else json)"
+    )
+    _state_argument(watch)
+    watch.set_defaults(command=_watch)
+
+    status = commands.add_parser("status", help="what the daemon of an output folder does")
+    status.add_argument("outputs", nargs="+", metavar="OUT")
+    status.add_argument("--all", action="store_true", help="list every asset")
+    status.add_argument("--json", action="store_true", help="as JSON, every asset included")
+    _state_argument(status)
+    status.set_defaults(command=_status)
+
+    retry = commands.add_parser("retry", help="have the daemon try again what failed", description=_RETRY)
+    retry.add_argument("output", metavar="OUT")
+    retry.add_argument(
+        "assets", nargs="*", metavar="ASSET", help="an input, a result or a glob (default: all that failed)"
+    )
+    retry.add_argument("--force", action="store_true", help="also what is published already")
+    _state_argument(retry)
+    retry.set_defaults(command=_retry)
+
+    for name, text in (("pause", "have the daemon begin no new jobs"), ("resume", "have the daemon go on")):
+        control = commands.add_parser(name, help=text)
+        control.add_argument("outputs", nargs="+", metavar="OUT")
+        _state_argument(control)
+        control.set_defaults(command=_pause if name == "pause" else _resume)
+
     check = commands.add_parser("check", help="validate a configuration", description="Validate a configuration.")
     _config_arguments(check, flag=False)
     check.add_argument("--resolved", action="store_true", help="print all of it, defaults included")
@@ -98,6 +138,17 @@ def _parser() -> argparse.ArgumentParser:
 
 _RUN = """Lead assets through the stages of a configuration. OUT/<relative folder>/<asset>/ gets a folder for each
 level, report.json and manifest.json; what fails leaves its record in OUT/.failed/."""
+
+
+_WATCH = """Watch a folder and do for every asset in it what `run` does, as soon as all its files are there and at rest;
+again when they change. SIGTERM finishes what runs, a second one does not; SIGHUP reads the configuration again."""
+_RETRY = (
+    """Ask the daemon for assets once more. Works whether it runs or not: what is asked for is done when it does."""
+)
+
+
+def _state_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--state", metavar="DIR", help="folder of the daemon's job table (default: OUT/.lodpipe)")
 
 
 def _config_arguments(parser: argparse.ArgumentParser, *, flag: bool) -> None:
@@ -141,6 +192,78 @@ def _run(options: argparse.Namespace) -> int:
             listener=display,
         )
     return batch.exit_code
+
+
+def _watch(options: argparse.Namespace) -> int:
+    from lodpipe.service.logs import daemon_log
+    from lodpipe.service.watch import Request, watch
+
+    given = {
+        "watch.workers": options.workers,
+        "watch.executor": options.executor,
+        "watch.scheduler": options.scheduler,
+        "watch.port": options.port,
+        "watch.poll_s": options.poll,
+        "watch.events": None if options.poll is None else "'off'",
+    }
+    settings = [f"{path}={value}" for path, value in given.items() if value is not None]
+    request = Request(
+        drop=Path(options.drop),
+        output=Path(options.output),
+        config=options.config,
+        settings=(*options.settings, *settings),
+        plugins=tuple(options.plugins),
+        state=Path(options.state) if options.state else None,
+        once=options.once,
+    )
+    return watch(request, daemon_log(sys.stderr, text=(options.log or ("json", "text")[sys.stderr.isatty()]) == "text"))
+
+
+def _status(options: argparse.Namespace) -> int:
+    from lodpipe.reporting.daemon_status import status_lines
+    from lodpipe.reporting.table import Style
+    from lodpipe.service.control import status
+
+    found = [status(state, every=options.all or options.json) for state in _states(options)]
+    if options.json:
+        print(json.dumps(found[0] if len(found) == 1 else found, indent=2))
+    else:
+        print("\n".join(line for one in found for line in status_lines(one, Style(sys.stdout), every=options.all)))
+    return 0
+
+
+def _retry(options: argparse.Namespace) -> int:
+    from lodpipe.service.control import retry, state_folder
+
+    state = state_folder(Path(options.output), Path(options.state) if options.state else None)
+    chosen = retry(state, options.assets, force=options.force)
+    print("\n".join(chosen) if chosen else "nothing has failed")
+    return 0
+
+
+def _pause(options: argparse.Namespace) -> int:
+    from lodpipe.service.control import pause
+
+    for state in _states(options):
+        pause(state)
+    return 0
+
+
+def _resume(options: argparse.Namespace) -> int:
+    from lodpipe.service.control import resume
+
+    for state in _states(options):
+        resume(state)
+    return 0
+
+
+def _states(options: argparse.Namespace) -> list[Path]:
+    """The state folders of the output folders that were named."""
+    from lodpipe.service.control import state_folder
+
+    if options.state and len(options.outputs) > 1:
+        raise LodpipeError("--state goes with one output folder")
+    return [state_folder(Path(output), Path(options.state) if options.state else None) for output in options.outputs]
 
 
 def _check(options: argparse.Namespace) -> int:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from lodpipe.config.watch import Cache, Part, Watch
 from lodpipe.core.asset import Target
 from lodpipe.io.limits import DEFAULT as READER
 
@@ -15,12 +16,6 @@ LATER_TARGETS = {"pixels", "screen"}
 
 Percent = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=1)]
-
-
-class Part(BaseModel):
-    """A part of the configuration: frozen, and unknown keys are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
 class Level(Part):
@@ -61,6 +56,8 @@ class Limits(Part):
     """Pixels of one texture."""
     input_bytes: Count = READER.input_bytes
     """Bytes of all files of one asset."""
+    output_bytes: Count = 16 << 30
+    """Bytes of all that is written for one asset."""
     memory_gb: Annotated[float, Field(gt=0)] = 8.0
     """Memory for the work on one asset, in GB."""
     minutes: Annotated[float, Field(gt=0)] = 30.0
@@ -89,7 +86,7 @@ class Budgets(Part):
 
     bytes: Count | None = None
     """Size of all the asset's model and texture files together."""
-    levels: dict[Annotated[int, Field(ge=0)], LevelBudget] = {}
+    levels: dict[Annotated[int, Field(ge=0)], LevelBudget] = Field(default_factory=dict)
     """By the level's number, 0 being the source."""
 
 
@@ -104,6 +101,8 @@ class Config(Part):
     """The steps, in order: a stage's name, or its name and parameters."""
     limits: Limits = Limits()
     budgets: Budgets = Budgets()
+    watch: Watch = Watch()
+    cache: Cache = Cache()
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Start of everything random: same seed, same bytes."""
     threads: Annotated[int, Field(ge=0)] = 0

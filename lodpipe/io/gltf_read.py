@@ -20,7 +20,7 @@ from lodpipe.io.clean import Warn
 from lodpipe.io.extensions import DECODED, settle
 from lodpipe.io.gltf_schema import Json, check_shape, node_depth, parse_json
 from lodpipe.io.images import find_image, read_image
-from lodpipe.io.paths import Folder
+from lodpipe.io.paths import Folder, stem
 from lodpipe.io.skins import valid_skin
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
@@ -54,7 +54,7 @@ def read_gltf(folder: Folder, warn: Warn) -> Asset:
     meshes = tuple(reader.mesh(i) for i in range(len(tree.get("meshes", ()))))
     images = tuple(reader.image(i) for i in range(len(tree.get("images", ()))))
     asset = Asset(
-        name=folder.path.stem,
+        name=stem(folder.path),
         meshes=meshes,
         materials=tuple(Material(m) for m in tree.get("materials", ())),
         images=images,

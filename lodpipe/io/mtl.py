@@ -54,16 +54,7 @@ class Library:
             self.warn(f"material library left out: {error.cause}")
             return
         base = name.replace("\\", "/").rpartition("/")[0]
-        current: dict[str, str] | None = None
-        blocks: list[tuple[str, dict[str, str]]] = []
-        for line in data.replace(b"\\\n", b" ").split(b"\n"):
-            key, _, rest = line.strip().replace(b"\t", b" ").partition(b" ")
-            if key.lower() == b"newmtl":
-                current = {}
-                blocks.append((decode_name(rest), current))
-            elif current is not None and key and not key.startswith(b"#"):
-                current.setdefault(decode_name(key).lower(), decode_name(rest))
-        for title, statements in blocks:
+        for title, statements in _blocks(data):
             self.materials.append(self._material(title, statements, base))
 
     def row(self, name: str) -> int:
@@ -100,10 +91,8 @@ class Library:
 
     def _image(self, name: str, base: str) -> int:
         """The row of an image: as named, else a file of that name beside the asset (paths of another machine)."""
-        plain = name.replace("\\", "/")
-        last = plain.rpartition("/")[2]
-        tried = dict.fromkeys([f"{base}/{plain}" if base else plain, plain, f"{base}/{last}" if base else last, last])
-        chosen = next((t for t in tried if self._exists(t)), next(iter(tried)))
+        tried = image_names(name, base)
+        chosen = next((t for t in tried if self._exists(t)), tried[0])
         if chosen not in self._image_rows:
             self._image_rows[chosen] = len(self.images)
             self.images.append(find_image(self.folder, chosen))
@@ -185,6 +174,33 @@ class Library:
             transform = {"offset": [o[0], 1.0 - s[1] - o[1]], "scale": s}
             info["extensions"] = {KHR_TRANSFORM: transform}
         return info
+
+
+def _blocks(data: bytes) -> list[tuple[str, dict[str, str]]]:
+    """Each material of a library: its name, and the first statement of each kind."""
+    current: dict[str, str] | None = None
+    blocks: list[tuple[str, dict[str, str]]] = []
+    for line in data.replace(b"\\\n", b" ").split(b"\n"):
+        key, _, rest = line.strip().replace(b"\t", b" ").partition(b" ")
+        if key.lower() == b"newmtl":
+            current = {}
+            blocks.append((decode_name(rest), current))
+        elif current is not None and key and not key.startswith(b"#"):
+            current.setdefault(decode_name(key).lower(), decode_name(rest))
+    return blocks
+
+
+def map_names(data: bytes) -> list[str]:
+    """The image files that a library's materials name in statements that have a place in a glTF material."""
+    names = [map_statement(said[key])[0] for _, said in _blocks(data) for key in _SLOTS if said.get(key)]
+    return list(dict.fromkeys(filter(None, names)))
+
+
+def image_names(name: str, base: str) -> list[str]:
+    """Where an image is looked for, in order: as named, from the library's folder `base`; by its last part alone."""
+    plain = name.replace("\\", "/")
+    last = plain.rpartition("/")[2]
+    return list(dict.fromkeys([f"{base}/{plain}" if base else plain, plain, f"{base}/{last}" if base else last, last]))
 
 
 KHR_TRANSFORM = "KHR_texture_transform"

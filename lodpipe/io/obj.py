@@ -15,7 +15,7 @@ from lodpipe.core.mesh import F64, Mesh
 from lodpipe.io.build import Part, build_mesh
 from lodpipe.io.clean import Warn
 from lodpipe.io.mtl import Library
-from lodpipe.io.paths import Folder
+from lodpipe.io.paths import Folder, stem
 from lodpipe.io.polygons import triangulate, usable
 from lodpipe.io.text import Lines, decode_name, integers, plain_text, strip_comments, word_starts
 from lodpipe.io.weld import unique_rows
@@ -63,7 +63,7 @@ def read_obj(folder: Folder, warn: Warn) -> Asset:
     face_line = corners.line[owner]
     library = Library(folder, warn)
     for line in lines.starting(b"mtllib").tolist():
-        for name in _library_names(folder, decode_name(lines.rest(line, b"mtllib"))):
+        for name in library_names(folder, decode_name(lines.rest(line, b"mtllib"))):
             library.read(name)
     material = _names(lines, b"usemtl", face_line)
     used = set(np.unique(material.of_face).tolist())
@@ -74,10 +74,10 @@ def read_obj(folder: Folder, warn: Warn) -> Asset:
         reader.mesh(faces[chosen], material_of[chosen], name)
         for name, chosen in _objects(lines, face_line, corners.vertex[faces])
     ]
-    stem = folder.path.stem
-    nodes = [{"mesh": i, "name": mesh.name or stem} for i, mesh in enumerate(meshes)]
+    title = stem(folder.path)
+    nodes = [{"mesh": i, "name": mesh.name or title} for i, mesh in enumerate(meshes)]
     return Asset(
-        name=stem,
+        name=title,
         meshes=tuple(meshes),
         materials=tuple(Material(m) for m in library.materials),
         images=tuple(library.images),
@@ -237,7 +237,7 @@ def _objects(lines: Lines, face_line: NDArray[np.intp], faces: _Ints) -> list[tu
     return [(named.names[int(k)], c) for k, c in zip(kinds, np.split(order, bound[1:]), strict=True)]
 
 
-def _library_names(folder: Folder, text: str) -> list[str]:
+def library_names(folder: Folder, text: str) -> list[str]:
     """The names of a mtllib statement: one with spaces in it if there is such a file, else one for each word."""
     if " " not in text:
         return [text] if text else []

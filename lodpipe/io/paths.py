@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 from dataclasses import dataclass, field
@@ -87,6 +88,11 @@ class Folder:
         if path not in self.members:
             self.members.append(path)
         return data
+
+
+def stem(path: Path) -> str:
+    """A file's name without its ending, as text: bytes that are not UTF-8 become U+FFFD."""
+    return os.fsencode(path.stem).decode("utf-8", "replace")
 
 
 _ADVICE = "only files in the folder of the asset, or below it, are read"

@@ -12,11 +12,12 @@ from typing import Protocol
 
 from lodpipe.config.model import Limits
 from lodpipe.service import manifest
-from lodpipe.service.chain import Config, Loaded, Settings, load_chain
+from lodpipe.service.chain import Config, Settings, load_chain
 from lodpipe.service.discover import Found, find_assets
 from lodpipe.service.job import REPORT, Job, Outcome, process
 from lodpipe.service.pool import run_isolated
 from lodpipe.service.publish import Output
+from lodpipe.service.recipe import Recipe
 
 Inputs = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
@@ -79,6 +80,7 @@ def run(
     """
     listener = listener or Silent()
     loaded = load_chain(config, settings, plugins)
+    recipe = Recipe.loaded(loaded)
     batch = Batch()
     listed = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
     root = Path(output)
@@ -97,12 +99,12 @@ def run(
     place.sweep()
     jobs = []
     for asset in found:
-        same = None if force else _published(asset, root, loaded)
+        same = None if force else _published(asset, root, recipe)
         if same:
             place.forget_failure(asset.place)
             add(same)
         else:
-            jobs.append(_job(asset, root, loaded, max(1, min(workers, len(found)))))
+            jobs.append(job_of(asset, root, recipe, max(1, min(workers, len(found)))))
     for outcome in _done(jobs, workers, len(found) > 1, listener.progress):
         add(outcome)
     return batch
@@ -126,24 +128,29 @@ def _limited(job: Job) -> bool:
     return (job.limits.memory_gb, job.limits.minutes) != (defaults.memory_gb, defaults.minutes)
 
 
-def _job(asset: Found, root: Path, loaded: Loaded, workers: int) -> Job:
-    config = loaded.pipeline.config
-    shared = max(1, (os.cpu_count() or 1) // workers) if workers > 1 else 0
+def job_of(asset: Found, root: Path, recipe: Recipe, workers: int) -> Job:
+    """The job that makes an asset's result in the output folder `root`, `workers` of its kind at a time."""
     return Job(
         path=str(asset.path),
         folder=asset.folder,
         name=asset.name,
         output=str(root),
-        config=loaded.pipeline.resolved(),
-        plugins=tuple(str(folder.resolve()) for folder in loaded.folders),
-        threads=config.threads or shared,
+        config=recipe.config,
+        plugins=recipe.plugins,
+        threads=threads_for(recipe, workers),
     )
 
 
-def _published(asset: Found, root: Path, loaded: Loaded) -> Outcome | None:
+def threads_for(recipe: Recipe, workers: int) -> int:
+    """Most threads for one asset when `workers` go side by side; 0 for all cores."""
+    shared = max(1, (os.cpu_count() or 1) // workers) if workers > 1 else 0
+    return int(recipe.config["threads"]) or shared
+
+
+def _published(asset: Found, root: Path, recipe: Recipe) -> Outcome | None:
     """The outcome of an asset whose result is there already."""
     folder = root / asset.place
-    if not manifest.current(folder, asset.path, loaded.pipeline):
+    if not manifest.current(folder, asset.path, recipe):
         return None
     report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
     return Outcome(str(asset.path), str(asset.place), "unchanged", str(folder), report=report)

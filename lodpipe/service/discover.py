@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import glob
+import itertools
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from lodpipe import io
 from lodpipe.core.errors import AssetError, LodpipeError, OutputError
+from lodpipe.io.paths import stem
 
 STATE = ".lodpipe"
 """The folder in an output folder that marks it as one: temporary folders, the daemon's state."""
@@ -140,18 +143,61 @@ def _named(wanted: list[tuple[Path, str]]) -> list[Found]:
     names: dict[int, str] = {}
     for index in sorted(rank, key=lambda index: (rank[index], index)):
         path, folder = wanted[index]
-        stem = path.stem.rstrip(". ") or "asset"
-        stem = f"_{stem[1:]}" if stem.startswith(".") else stem
-        choices = [stem, f"{stem}_{_format(path)}"]
-        number = 2
-        while str(PurePosixPath(folder, choices[0])).casefold() in taken:
-            choices.pop(0)
-            if not choices:
-                choices.append(f"{stem}_{_format(path)}_{number}")
-                number += 1
-        names[index] = choices[0]
-        taken.add(str(PurePosixPath(folder, choices[0])).casefold())
+        names[index] = next(name for name in _choices(path) if _fold(folder, name) not in taken)
+        taken.add(_fold(folder, names[index]))
     return [Found(path, folder, names[index]) for index, (path, folder) in enumerate(wanted)]
+
+
+def _choices(path: Path) -> Iterator[str]:
+    """Names for the output of a file, the best first."""
+    name = stem(path).rstrip(". ") or "asset"
+    name = f"_{name[1:]}" if name.startswith(".") else name
+    yield name
+    yield f"{name}_{_format(path)}"
+    yield from (f"{name}_{_format(path)}_{number}" for number in itertools.count(2))
+
+
+def _fold(folder: str, name: str) -> str:
+    return str(PurePosixPath(folder, name)).casefold()
+
+
+class Places:
+    """The same for assets that turn up one by one: a place that was given stays, later ones step back."""
+
+    def __init__(self, given: Iterable[str] = ()) -> None:
+        self._assets: set[str] = set()
+        self._folders: Counter[str] = Counter()
+        for place in given:
+            self._add(place)
+
+    def give(self, path: PurePosixPath) -> str:
+        """The place of the asset at a path relative to the watched folder."""
+        folder = ""
+        for part in path.parent.parts:
+            here = str(PurePosixPath(folder, part))
+            while here.casefold() in self._assets:
+                here += "_"
+            folder = here
+        place = next(
+            str(PurePosixPath(folder, name))
+            for name in _choices(Path(path.name))
+            if _fold(folder, name) not in self._assets and not self._folders[_fold(folder, name)]
+        )
+        self._add(place)
+        return place
+
+    def free(self, place: str) -> None:
+        """The place is not needed any more."""
+        self._assets.discard(place.casefold())
+        self._folders.subtract(self._above(place))
+
+    def _add(self, place: str) -> None:
+        self._assets.add(place.casefold())
+        self._folders.update(self._above(place))
+
+    @staticmethod
+    def _above(place: str) -> list[str]:
+        return [str(parent) for parent in PurePosixPath(place.casefold()).parents]
 
 
 def _format(path: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import logging
 import platform
 import time
@@ -25,10 +26,19 @@ from lodpipe.reporting.report_json import dump_report, report_data
 from lodpipe.service import manifest
 from lodpipe.service.memory import memory_limit, peak_memory_mb
 from lodpipe.service.publish import FAILED, Output
+from lodpipe.service.recipe import Recipe
 
 REPORT = "report.json"
 LOG = "lodpipe.log"
 BUG_ADVICE = "this is a bug in lodpipe or a plug-in, please report it with the log in {folder}"
+
+INPUT, AGAIN, PASSING = "input", "again", "passing"
+"""Natures of failures: the input's (the same every time), a crash or a limit of time or memory (worth another try),
+and trouble of the machine that goes away by itself (no space, busy, a share that is gone)."""
+
+_PASSING_ERRORS = """ENOSPC EDQUOT EBUSY EIO ESTALE EAGAIN EMFILE ENFILE ETXTBSY ETIMEDOUT ENOTCONN EHOSTDOWN
+    EHOSTUNREACH ENETDOWN ENETUNREACH EREMOTEIO ENOLCK"""
+PASSING_ERRORS = frozenset(getattr(errno, name) for name in _PASSING_ERRORS.split() if hasattr(errno, name))
 
 JobProgress = Callable[[int, str, float], None]
 """Called with the number of stages begun, the name of what is being done, and the share of it that is done."""
@@ -46,6 +56,15 @@ class Job:
     """The resolved configuration."""
     plugins: tuple[str, ...] = ()
     threads: int = 0
+    read_from: str = ""
+    """A copy of the input that is read in its place, while messages tell of `path`."""
+    records: tuple[str, ...] = (INPUT, AGAIN, PASSING)
+    """Natures of failures that leave a record in `.failed`; the others are told to the caller alone."""
+
+    @classmethod
+    def from_data(cls, data: dict[str, Any]) -> Job:
+        """The job that `dataclasses.asdict` has made plain data of, JSON included."""
+        return cls(**data | {"plugins": tuple(data["plugins"]), "records": tuple(data["records"])})
 
     @property
     def place(self) -> PurePosixPath:
@@ -71,6 +90,8 @@ class Outcome:
     message: str = ""
     """One line, of a failed job."""
     seconds: float = 0.0
+    nature: str = ""
+    """Of a failed job: INPUT, AGAIN or PASSING."""
     report: dict[str, Any] | None = field(default=None, repr=False)
 
     @property
@@ -93,7 +114,7 @@ def process(job: Job, progress: JobProgress = lambda index, name, share: None) -
 
     def in_time(index: int, name: str, share: float) -> None:
         if time.monotonic() > deadline:
-            raise LimitError(**too_slow(limits.minutes))
+            raise TooSlow(**too_slow(limits.minutes))
         progress(index, name, share)
 
     output = Output(Path(job.output))
@@ -122,16 +143,19 @@ def process(job: Job, progress: JobProgress = lambda index, name, share: None) -
 
 
 def fail(job: Job, output: Output, failure: Failure, report: Report | None = None, log: Path | None = None) -> Outcome:
-    """Leave a record of a failure in the output folder."""
+    """Leave a record of a failure in the output folder, unless the job is not to."""
     report = report or Report(job.name, input=job.path)
     report.outcome, report.error = "failed", failure.data()
+    word = "bug" if failure.bug else "failed"
+    if failure.nature not in job.records:
+        return Outcome(job.path, str(job.place), word, "", failure.message, nature=failure.nature)
     record = {"schema_version": SCHEMA_VERSION, "asset": job.name, "input": job.path, **failure.data()}
     with output.workspace() as workspace:
         path = workspace / REPORT
         dump_report(report, path)
         files = [path, *([log] if log else [])]
         folder = output.fail(job.place, record, files, Path(job.path))
-    return Outcome(job.path, str(job.place), "bug" if failure.bug else "failed", str(folder), failure.message)
+    return Outcome(job.path, str(job.place), word, str(folder), failure.message, nature=failure.nature)
 
 
 @dataclass(frozen=True)
@@ -144,6 +168,7 @@ class Failure:
     advice: str
     kind: str
     bug: bool = False
+    nature: str = INPUT
 
     @classmethod
     def of(cls, job: Job, report: Report, error: Exception) -> Failure:
@@ -153,18 +178,20 @@ class Failure:
             error = error.error if isinstance(error.error, MemoryError) else error
         if isinstance(error, MemoryError):
             error = LimitError(**too_big(job.limits.memory_gb))
-            return cls(stage, error.cause, f"{job.path}: {stage}", error.advice, "LimitError")
+            return cls(stage, error.cause, f"{job.path}: {stage}", error.advice, "LimitError", nature=AGAIN)
         if isinstance(error, LodpipeError):
             inside = error.place
             for name in (Path(job.path).name, job.name):  # the path says it, and says it better
                 inside = "" if inside == name else inside.removeprefix(f"{name}: ")
             place = f"{job.path}: {inside}" if inside else job.path
-            return cls(stage, error.cause, place, error.advice, type(error).__name__)
+            kind = "LimitError" if isinstance(error, LimitError) else type(error).__name__
+            return cls(stage, error.cause, place, error.advice, kind, nature=nature_of(error))
         inner = error.error if isinstance(error, StageFailed) else error
         folder = Path(job.output) / FAILED / job.place
         cause = f"internal error: {type(inner).__name__}: {inner}"
         advice = BUG_ADVICE.format(folder=folder)
-        return cls(stage, cause, f"{job.path}: {stage}", advice, type(inner).__name__, bug=True)
+        nature = PASSING if nature_of(inner) == PASSING else AGAIN
+        return cls(stage, cause, f"{job.path}: {stage}", advice, type(inner).__name__, bug=True, nature=nature)
 
     @property
     def message(self) -> str:
@@ -173,7 +200,22 @@ class Failure:
 
     def data(self) -> dict[str, str]:
         """For error.json and report.json."""
-        return {name: str(value) for name, value in dataclasses.asdict(self).items() if name != "bug"}
+        return {name: str(value) for name, value in dataclasses.asdict(self).items() if name not in ("bug", "nature")}
+
+
+class TooSlow(LimitError):
+    """A job over its time."""
+
+
+def nature_of(error: BaseException | None) -> str:
+    """The nature of a failure, from the exception and what lies behind it."""
+    if isinstance(error, TooSlow):
+        return AGAIN
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in PASSING_ERRORS:
+            return PASSING
+        error = error.__cause__ or error.__context__
+    return INPUT
 
 
 def too_slow(minutes: float) -> dict[str, str]:
@@ -232,7 +274,8 @@ def _build(
     report.seconds = time.monotonic() - begin
     report.peak_memory_mb = peak_memory_mb()
     dump_report(report, built / REPORT)
-    manifest.write(built, read, pipeline, str(job.place), report.outcome, report.versions)
+    _check_size(built, pipeline.config.limits.output_bytes)
+    manifest.write(built, read, Recipe.of(pipeline), str(job.place), report.outcome, report.versions)
     return output.publish(built, job.place)
 
 
@@ -240,11 +283,20 @@ def _load(job: Job, pipeline: Pipeline, log: logging.Logger) -> Asset:
     limits = pipeline.config.limits
     bounds = io.Limits(triangles=limits.triangles, texture_pixels=limits.texture_pixels, input_bytes=limits.input_bytes)
     log.info("load: %s", job.path)
-    asset = dataclasses.replace(io.load(Path(job.path), bounds), name=job.name)
+    asset = dataclasses.replace(io.load(Path(job.read_from or job.path), bounds), name=job.name, path=Path(job.path))
     for warning in asset.warnings:
         log.warning("load: %s", warning)
     log.info("load: %s triangles, %s vertices", asset.triangles, asset.vertices)
     return asset
+
+
+def _check_size(folder: Path, limit: int) -> None:
+    total = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    if total > limit:
+        raise LimitError(
+            f"the result has {total:,} bytes, more than the limit of {limit:,}",
+            advice="raise limits.output_bytes, or ask for fewer levels or formats",
+        )
 
 
 def _log_file(path: Path) -> tuple[logging.Logger, logging.FileHandler]:

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from lodpipe.core.asset import Asset
-from lodpipe.pipeline import Pipeline
-from lodpipe.stage import AnyStage
+from lodpipe.service.recipe import Recipe
 
 NAME = "manifest.json"
 VERSION = 1
 """Of manifest and output layout; part of the fingerprint."""
 
-_NO_INFLUENCE = ("threads", "limits")
-"""Keys of the configuration that never change what is published."""
 
-
-def write(folder: Path, asset: Asset, pipeline: Pipeline, place: str, outcome: str, versions: dict[str, str]) -> None:
+def write(folder: Path, asset: Asset, recipe: Recipe, place: str, outcome: str, versions: dict[str, str]) -> None:
     """Describe the folder as it stands; `asset` is the one that was read, with its members."""
     files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path != folder / NAME]
     home = asset.members[0].parent if asset.members else Path()
@@ -31,53 +26,61 @@ def write(folder: Path, asset: Asset, pipeline: Pipeline, place: str, outcome: s
         "asset": asset.name,
         "output": place,
         "outcome": outcome,
-        "fingerprint": fingerprint(inputs, pipeline),
+        "fingerprint": fingerprint(inputs, recipe),
         "inputs": inputs,
         "missing": sorted(asset.missing),
-        "config": pipeline.resolved(),
-        "stages": [_version(step.stage) for step in pipeline.steps],
+        "config": recipe.config,
+        "stages": list(recipe.stages),
         "versions": versions,
         "files": [_entry(path, folder) for path in files],
     }
     (folder / NAME).write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
 
 
-def fingerprint(inputs: Iterable[dict[str, Any]], pipeline: Pipeline) -> str:
+def fingerprint(inputs: Iterable[dict[str, Any]], recipe: Recipe) -> str:
     """Hex digest of everything that the result depends on: inputs, configuration, stages and their versions."""
-    config = {key: value for key, value in pipeline.resolved().items() if key not in _NO_INFLUENCE}
     content = {
         "version": VERSION,
         "inputs": sorted((entry["path"], entry["size"], entry["sha256"]) for entry in inputs),
-        "config": config,
-        "stages": [_version(step.stage) for step in pipeline.steps],
+        **recipe.influence,
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def current(folder: Path, source: Path, pipeline: Pipeline) -> dict[str, Any] | None:
+def current(folder: Path, source: Path, recipe: Recipe) -> dict[str, Any] | None:
     """The manifest in `folder` if a run over `source` would publish the same again, else None.
 
     The inputs have the same content, nothing that was missing has turned up, the configuration and the stages are
     the same, and every published file is as it was written.
     """
-    data = read(folder)
-    if data is None or data.get("manifest_version") != VERSION:
+    data = whole(folder)
+    if data is None:
         return None
     try:
-        inputs, files = list(data["inputs"]), list(data["files"])
+        inputs = list(data["inputs"])
         if not inputs or source.name != inputs[0]["path"]:
             return None
         if any((source.parent / name).exists() for name in data["missing"]):
             return None
         if [_entry(source.parent / entry["path"], source.parent) for entry in inputs] != inputs:
             return None
-        if data["fingerprint"] != fingerprint(inputs, pipeline):
-            return None
-        if [_entry(folder / entry["path"], folder) for entry in files] != files:
+        if data["fingerprint"] != fingerprint(inputs, recipe):
             return None
     except (KeyError, TypeError, ValueError, OSError):  # damaged by hand, or a file is gone: not the same
         return None
     return data
+
+
+def whole(folder: Path) -> dict[str, Any] | None:
+    """The manifest in `folder` if every published file is as it was written, else None."""
+    data = read(folder)
+    if data is None or data.get("manifest_version") != VERSION:
+        return None
+    try:
+        files = list(data["files"])
+        return data if [_entry(folder / entry["path"], folder) for entry in files] == files else None
+    except (KeyError, TypeError, ValueError, OSError):
+        return None
 
 
 def read(folder: Path) -> dict[str, Any] | None:
@@ -111,12 +114,3 @@ def _relative(path: Path, root: Path) -> str:
         if path.is_relative_to(base):
             return path.relative_to(base).as_posix()
     return path.as_posix()
-
-
-def _version(stage: AnyStage) -> dict[str, Any]:
-    """A stage's name and version; for plug-ins, which are edited in place, a digest of their file as well."""
-    entry: dict[str, Any] = {"name": stage.name, "version": stage.version}
-    if stage.origin != "built in":
-        source = inspect.getsourcefile(stage.function)
-        entry["source"] = hashlib.sha256(Path(source).read_bytes()).hexdigest() if source else ""
-    return entry

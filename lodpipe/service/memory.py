@@ -39,6 +39,24 @@ def peak_memory_mb() -> float:
     return round(peak / (1 << 20 if sys.platform == "darwin" else 1 << 10), 1)
 
 
+def resident_gb(pid: int, *, family: bool = True) -> float:
+    """Memory in GB that a process, with `family` all that it has started too, holds; 0 where the system tells not."""
+    page = resource.getpagesize()
+    total, todo, seen = 0, [pid], set[int]()
+    while todo:
+        one = todo.pop()
+        if one in seen:
+            continue
+        seen.add(one)
+        try:
+            total += int(Path(f"/proc/{one}/statm").read_text(encoding="ascii").split()[1]) * page
+            for thread in Path(f"/proc/{one}/task").iterdir() if family else ():
+                todo += map(int, (thread / "children").read_text(encoding="ascii").split())
+        except (OSError, IndexError):  # it has ended in between, or there is no /proc
+            continue
+    return total / _GB
+
+
 def _data_now() -> int:
     """Bytes of private writable memory that this process has, 0 where the system does not tell."""
     try:

@@ -1,22 +1,27 @@
-"""The fresh process that does one job: ``python -m lodpipe.service.worker FD``.
+"""The fresh process that does one job: ``python -m lodpipe.service.worker FD [warm]``.
 
-The job comes as a line of JSON on stdin, which then stays open for as long as the parent lives; what happens goes as
-lines of JSON to the file descriptor FD, so that whatever a library prints cannot disturb it.
+With `warm` it loads what every job needs before it looks for one, so that the job need not wait for that. The job
+comes as a line of JSON on stdin, which then stays open for as long as the parent lives; what happens goes as lines of
+JSON to the file descriptor FD, so that whatever a library prints cannot disturb it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import faulthandler
+import importlib
 import json
 import os
+import resource
 import sys
 import threading
 import time
 from typing import Any
 
 from lodpipe.core.errors import LodpipeError
-from lodpipe.service.job import Job, process
+from lodpipe.plugins import find_stages
+from lodpipe.service.job import Job, nature_of, process
 
 PROGRESS_SECONDS = 0.1
 """Shortest time between two lines about progress within a stage."""
@@ -27,8 +32,15 @@ def main() -> int:
     """Do the job; the exit code says only whether an outcome was delivered."""
     faulthandler.enable()
     with open(int(sys.argv[1]), "w", encoding="ascii", buffering=1) as events:  # noqa: PTH123 a descriptor, no path
-        data = json.loads(sys.stdin.readline())
-        job = Job(**{**data, "plugins": tuple(data["plugins"])})
+        if "warm" in sys.argv[2:]:
+            _warm_up()
+        line = sys.stdin.readline()
+        if not line:  # the parent needs no job done after all
+            return 0
+        job = Job.from_data(json.loads(line))
+        with contextlib.suppress(ValueError, OSError):
+            size, hard = job.limits.output_bytes, resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+            resource.setrlimit(resource.RLIMIT_FSIZE, (size if hard < 0 else min(size, hard), hard))
         threading.Thread(target=_die_with_parent, daemon=True).start()
         last: list[Any] = ["", 0.0]
 
@@ -41,10 +53,16 @@ def main() -> int:
         try:
             outcome = process(job, progress)
         except LodpipeError as error:
-            events.write(json.dumps({"error": str(error)}) + "\n")
+            events.write(json.dumps({"error": {"message": str(error), "nature": nature_of(error)}}) + "\n")
             return 1
         events.write(json.dumps({"outcome": dataclasses.asdict(outcome)}) + "\n")
     return 0
+
+
+def _warm_up() -> None:
+    """Import what is slow to import; a job would do it anyway."""
+    importlib.import_module("lodpipe.o3d")
+    find_stages()
 
 
 def _die_with_parent() -> None:

@@ -147,8 +147,8 @@ def test_plugins_beside_the_configuration_are_found(tmp_path, monkeypatch):
 def test_workers_share_the_cores(run, monkeypatch):
     monkeypatch.setattr(batch.os, "cpu_count", lambda: 8)
     write_obj(Path("in/a.obj"))
-    loaded = batch.load_chain(CHAIN, (), [Path("stages_for_tests")])
+    recipe = batch.Recipe.loaded(batch.load_chain(CHAIN, (), [Path("stages_for_tests")]))
     found, _ = batch.find_assets(["in"], Path("out"))
-    assert batch._job(found[0], Path("out"), loaded, 2).threads == 4
-    assert batch._job(found[0], Path("out"), loaded, 1).threads == 0
-    assert batch._job(found[0], Path("out"), loaded, 100).threads == 1
+    assert batch.job_of(found[0], Path("out"), recipe, 2).threads == 4
+    assert batch.job_of(found[0], Path("out"), recipe, 1).threads == 0
+    assert batch.job_of(found[0], Path("out"), recipe, 100).threads == 1

@@ -12,6 +12,7 @@ from chains import CHAIN, plugin_folder, write_obj
 from lodpipe import io
 from lodpipe.service import manifest
 from lodpipe.service.chain import load_pipeline
+from lodpipe.service.recipe import Recipe
 
 MTL = "newmtl red\nmap_Kd {}\n"
 
@@ -30,9 +31,13 @@ def published(tmp_path, plugins):
     folder = tmp_path / "out"
     (folder / "LOD0").mkdir(parents=True)
     (folder / "LOD0" / "a_LOD0.glb").write_text("model")
-    pipeline = load_pipeline(CHAIN, (), plugins)
-    manifest.write(folder, io.load(source), pipeline, "a", "ok", {"lodpipe": "1"})
-    return folder, source, pipeline
+    recipe = recipe_of((), plugins)
+    manifest.write(folder, io.load(source), recipe, "a", "ok", {"lodpipe": "1"})
+    return folder, source, recipe
+
+
+def recipe_of(settings, plugins) -> Recipe:
+    return Recipe.of(load_pipeline(CHAIN, settings, plugins))
 
 
 def current(published):
@@ -40,13 +45,13 @@ def current(published):
 
 
 def test_what_it_says(published):
-    folder, _, pipeline = published
+    folder, _, recipe = published
     data = json.loads((folder / manifest.NAME).read_text())
     assert [entry["path"] for entry in data["inputs"]] == ["a.obj", "a.mtl"]
     assert data["missing"] == ["b.mtl", "red.png"]
     assert [(entry["path"], entry["size"]) for entry in data["files"]] == [("LOD0/a_LOD0.glb", 5)]
     assert data["files"][0]["sha256"] == "9372c470eeadd5ecd9c3c74c2b3cb633f8e2f2fad799250a0f70d652b6b825e4"
-    assert data["config"] == pipeline.resolved()
+    assert data["config"] == recipe.config
     assert len(data["fingerprint"]) == 64
     assert [stage["name"] for stage in data["stages"]] == ["thin", "export"]
 
@@ -58,10 +63,10 @@ def test_the_same_again_is_current_and_so_is_a_touched_file(published):
 
 
 def test_a_broken_texture_is_not_a_missing_one(published):
-    folder, source, pipeline = published
+    folder, source, recipe = published
     (source.parent / "red.png").write_text("no image")
     (source.parent / "b.mtl").write_text("")
-    manifest.write(folder, io.load(source), pipeline, "a", "ok", {})
+    manifest.write(folder, io.load(source), recipe, "a", "ok", {})
     assert current(published)["missing"] == []
     (source.parent / "red.png").write_text("another one")
     assert current(published) is None
@@ -104,14 +109,14 @@ def test_any_change_of_input_or_output_counts(published, change):
 )
 def test_a_change_of_the_configuration_counts_where_it_can_matter(published, plugins, settings, same):
     folder, source, _ = published
-    assert bool(manifest.current(folder, source, load_pipeline(CHAIN, settings, plugins))) is same
+    assert bool(manifest.current(folder, source, recipe_of(settings, plugins))) is same
 
 
 def test_an_edited_plugin_counts(published, plugins):
     folder, source, _ = published
     file = next(Path(plugins[0]).glob("*.py"))
     file.write_text(file.read_text() + "\n# edited\n")
-    assert manifest.current(folder, source, load_pipeline(CHAIN, (), plugins)) is None
+    assert manifest.current(folder, source, recipe_of((), plugins)) is None
 
 
 def test_foreign_files(published):
