@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -19,7 +19,10 @@ from lodpipe.core.mesh import F32, F64, I32, Mesh
 from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.flatten import flatten
 from lodpipe.geometry.progressive import rebuild
+from lodpipe.geometry.shading import with_normals
 from lodpipe.kernel import QuadricOptions
+
+Metric = Literal["quadric", "visual"]
 
 ERROR_SAMPLES = 20_000  # of a measurement while a level is searched for its error
 
@@ -41,6 +44,10 @@ class AttributeWeights:
     color: float = 0.1
 
 
+VISUAL_WEIGHTS = AttributeWeights(uv=0.0)
+"""The visual metric's: where a texture slips is left to the fit."""
+
+
 @overload
 def decimate(source: Mesh, target: int | float | Target, **settings: Any) -> Mesh: ...
 @overload
@@ -55,7 +62,7 @@ def decimate(source: Mesh | Asset, target: int | float | Target, **settings: Any
     Raises InvalidMesh for a target outside its range.
     """
     goal = _as_target(target)
-    outside = {name: settings.pop(name) for name in ("weights", "threads") if name in settings}
+    outside = {name: settings.pop(name) for name in ("weights", "metric", "threads") if name in settings}
     options = QuadricOptions(**settings)
     if isinstance(source, Mesh):
         asset = Asset(name=source.name, meshes=(source,))
@@ -70,6 +77,7 @@ def decimate_asset(
     options: QuadricOptions | None = None,
     *,
     weights: AttributeWeights | None = None,
+    metric: Metric = "quadric",
     threads: int = 0,
     progress: Callable[[float, float], None] = _no_progress,
     cancelled: Callable[[], bool] = lambda: False,
@@ -81,11 +89,15 @@ def decimate_asset(
     """
     options = options or QuadricOptions()
     source = Lod(meshes=asset.meshes)
+    if metric == "visual":
+        options, weights = _steered(options, weights)
+        asset = replace(asset, meshes=tuple(m if m.keep_reason else with_normals(m) for m in asset.meshes))
     joined = _Joined.of(asset)
     fixed = source.triangles - len(joined.faces)
     counts = [_count(goal, source.triangles) for goal in targets]
     wanted = sorted({max(c - fixed, 0) for c in counts if c is not None}, reverse=True)
     by_error = any(c is None for c in counts)
+    fits = metric == "visual" and options.placement != "endpoint"  # which invents no values
     finest = [c for c in counts if c]
     values, column_weights = joined.columns(options, weights or AttributeWeights(), min(finest, default=1))
 
@@ -97,7 +109,13 @@ def decimate_asset(
         joined.positions,
         joined.faces,
         [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted,
-        replace(options, record=options.record or by_error, keep_last=fixed == 0, chart_column=joined.chart_column),
+        replace(
+            options,
+            record=options.record or by_error,
+            keep_last=fixed == 0,
+            chart_column=joined.chart_column,
+            follow=fits,
+        ),
         wedges=joined.wedges,
         values=values,
         column_weights=column_weights,
@@ -114,10 +132,23 @@ def decimate_asset(
             lods.append(joined.search_error(asset, goal, result))
             continue
         level = made[max(count - fixed, 0)]
+        if fits:
+            level = joined.fit(level, threads, cancelled)
+            if cancelled():
+                raise Cancelled("cancelled")
         reached = len(level.faces) + fixed <= count
         reason = "target" if reached else "kept meshes" if level.stop == "triangles" else level.stop
         lods.append(joined.lod(asset, level, goal, reason))
     return tuple(lods)
+
+
+def _steered(
+    options: QuadricOptions, weights: AttributeWeights | None
+) -> tuple[QuadricOptions, AttributeWeights | None]:
+    """The options of the visual metric: normals and colours steer, unless the caller said what does."""
+    if options.attribute_cost:
+        return options, weights
+    return replace(options, attribute_cost=True), VISUAL_WEIGHTS
 
 
 def _as_target(target: int | float | Target) -> Target:
@@ -231,6 +262,25 @@ class _Joined:
                 worth = weights.uv * float(np.sqrt(areas[has].sum() / flat[has].sum())) if has.any() else 0.0
             out += [worth] * width
         return self.values, out
+
+    def fit(self, level: kernel.Level, threads: int, cancelled: Callable[[], bool]) -> kernel.Level:
+        """The level with positions and values that fit the source best."""
+        count = len(level.faces)
+        if not count:
+            return level
+        kinds = [name for name, width in zip(self.names, self.widths, strict=True) for _ in range(width)]
+        return kernel.fit(
+            self.positions,
+            self.faces,
+            self.wedges,
+            self.values,
+            level,
+            samples=max(min(24 * count, 1_000_000), 6 * count, 2000),
+            tied=[not name.startswith(("TEXCOORD_", "TANGENT")) for name in kinds],
+            chart_column=self.chart_column,
+            threads=threads,
+            go_on=lambda: not cancelled(),
+        )
 
     def lod(self, asset: Asset, level: kernel.Level, goal: Target, reason: str) -> Lod:
         meshes = list(asset.meshes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -60,6 +60,8 @@ class QuadricOptions:
     """Column of `values` that holds u, with v after it: at seams new UVs stay within their chart."""
     record: bool = False
     """Keep the sequence of collapses, from which `rebuild` makes any level between."""
+    follow: bool = False
+    """Levels say what became of the input's vertices and wedges (`Level.vertex_to`, `wedge_to`), which `fit` needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,8 @@ class Level:
     """One level as arrays; `*_source` are rows of the input, −1 where the values are new.
 
     positions (V, 3) float64, faces and wedges (F, 3) int32, values (W, K) float32, vertex_source (V,), face_source
-    (F,) and wedge_source (W,) int32. `error` is the estimated deviation in object units.
+    (F,) and wedge_source (W,) int32. `error` is the estimated deviation in object units. With `follow`, vertex_to and
+    wedge_to hold for each row of the input the level's row that it was merged into, −1 where nothing is left of it.
     """
 
     target: int
@@ -81,6 +84,8 @@ class Level:
     vertex_source: I32
     face_source: I32
     wedge_source: I32
+    vertex_to: I32 = field(default_factory=lambda: np.empty(0, np.int32))
+    wedge_to: I32 = field(default_factory=lambda: np.empty(0, np.int32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +168,69 @@ def decimate(
     levels = [_level(data) for data in given["levels"]]
     record = _record(given["record"], arrays[3].shape[1]) if options.record else None
     return Decimation(levels, record)
+
+
+def fit(
+    positions: F64,
+    faces: I32,
+    wedges: I32,
+    values: F32,
+    level: Level,
+    samples: int,
+    *,
+    moves: int = 2,
+    fit_values: bool = True,
+    chart_column: int | None = None,
+    tied: Sequence[bool] = (),
+    threads: int = 0,
+    go_on: Callable[[], bool] | None = None,
+) -> Level:
+    """A level of `decimate` (made with `follow`) whose vertices and values fit the input best, in the least squares.
+
+    positions, faces, wedges, values   the input of `decimate`, as `decimate` takes it
+    samples       points spread over the input by area, from which the fit is made
+    moves         rounds in which positions move; 0: they stay
+    fit_values    whether values are fitted, too; if not they stay
+    chart_column  column of `values` that holds u, with v after it: at the border of a chart they stay near it
+    tied          K bool: in these columns wedges of one position stay equal where the input's were. Left out: none
+    go_on         asked between the steps; False stops, with what there is by then
+
+    Positions minimise the squared distance of the samples across the surface (and, with a small weight, along it),
+    values the squared difference at the samples; see docs/decimation.md. No face turns by more than 78°. The result
+    does not depend on `threads` (0: all cores).
+    """
+    columns = np.asarray(tied, np.uint8) if len(tied) else np.zeros(values.shape[1], np.uint8)
+    if columns.shape != (values.shape[1],):
+        raise InvalidMesh(f"there are {values.shape[1]} attribute columns and {columns.size} flags")
+    if samples < 1 or moves < 0 or threads < 0:
+        raise InvalidMesh("a fit needs at least one sample, and numbers that are not negative")
+    carried = values.shape[1] > 0  # without values the kernel does not follow wedges
+    native = _native.FitOptions()
+    native.samples, native.moves, native.fit_values = samples, moves, fit_values
+    native.chart_column = -1 if chart_column is None else chart_column
+    native.threads = threads or os.cpu_count() or 1
+    made = _native.fit(
+        positions,
+        faces,
+        wedges if carried else faces,
+        values,
+        level.positions,
+        level.faces,
+        level.wedges if carried else level.faces,
+        level.values,
+        level.wedge_to if carried else level.vertex_to,
+        columns,
+        go_on or (lambda: True),
+        native,
+    )
+    moved = made["moved"].astype(bool)
+    return replace(
+        level,
+        positions=made["positions"],
+        values=made.get("values", level.values),
+        vertex_source=np.where(moved, -1, level.vertex_source).astype(np.int32),
+        wedge_source=np.full_like(level.wedge_source, -1) if fit_values else level.wedge_source,
+    )
 
 
 def edge_costs(
@@ -253,6 +321,7 @@ def _options(options: QuadricOptions, threads: int) -> _native.Options:
         "keep_last",
         "round_share",
         "record",
+        "follow",
     ):
         setattr(native, name, getattr(options, name))
     return native

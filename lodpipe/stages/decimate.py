@@ -29,8 +29,9 @@ REASONS = {
 class DecimateParams(Params):
     """Parameters of `decimate`."""
 
-    metric: Literal["quadric"] = "quadric"
-    """What a collapse costs: squared distance to the planes that were merged."""
+    metric: Literal["quadric", "visual"] = "quadric"
+    """What decides: `quadric`, squared distance to the planes that were merged; `visual`, what is seen: light counts,
+    too, and each level is fitted to the source."""
     collapse: Literal["full", "half"] = "full"
     """`full` puts the merged vertex where the error is least; `half` keeps only vertices of the source."""
     placement: Literal["optimal", "midpoint"] = "optimal"
@@ -86,6 +87,7 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
             round_share=params.round_share,
         ),
         weights=AttributeWeights(params.uv_weight, params.normal_weight, params.color_weight),
+        metric=params.metric,
         threads=context.threads,
         progress=context.progress,
         cancelled=context.cancelled,

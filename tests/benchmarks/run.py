@@ -36,12 +36,7 @@ MODES: dict[str, dict[str, Any]] = {
 
 def main() -> None:
     """Run the harness, in the peers' environment."""
-    if not SHARED.is_dir():
-        sys.exit("the shared harness (../shared/bench) is not here")
-    if "LODPIPE_NATIVE" not in os.environ:
-        _enter_peers()
-    sys.path[:0] = [str(SHARED), str(ROOT)]
-    _load_native(os.environ["LODPIPE_NATIVE"])
+    enter()
     import bench
     import peers
 
@@ -66,6 +61,16 @@ def main() -> None:
     bench.main()
     if label:
         _keep(label, Path(sys.argv[sys.argv.index("--out") + 1] if "--out" in sys.argv else "results.json"))
+
+
+def enter() -> None:
+    """Go on in the peers' environment, with the harness and our kernel within reach."""
+    if not SHARED.is_dir():
+        sys.exit("the shared harness (../shared/bench) is not here")
+    if "LODPIPE_NATIVE" not in os.environ:
+        _enter_peers()
+    sys.path[:0] = [str(SHARED), str(ROOT)]
+    _load_native(os.environ["LODPIPE_NATIVE"])
 
 
 def _enter_peers() -> None:
@@ -135,6 +140,55 @@ def _peer(settings: dict[str, Any]) -> Any:
         return prepare, call, done
 
     return make
+
+
+def levels(source: Any, targets: list[int], settings: dict[str, Any]) -> tuple[list[Any], float]:
+    """Our levels of a harness mesh, textures and all, and the seconds that they took on one thread."""
+    import time
+
+    import mesh as harness
+    import numpy as np
+
+    from lodpipe.core.asset import Asset, Target
+    from lodpipe.core.material import Material
+    from lodpipe.core.mesh import Mesh
+    from lodpipe.geometry import decimate as ours
+    from lodpipe.kernel import QuadricOptions
+
+    columns = {"NORMAL": source.n, "TEXCOORD_0": source.uv, "COLOR_0": source.c}
+    attributes = {name: values for name, values in columns.items() if values is not None}
+    positions, faces, _, kept = harness.weld(source.v, source.f)
+    primitives = _primitives(len(source.mats), tuple(attributes))
+    made = Mesh(positions.astype(np.float64), faces, source.f[kept], attributes, source.fm[kept], primitives)
+    materials, pixels, images = [], {}, {}
+    for m in source.mats:
+        pbr: dict[str, Any] = {"baseColorFactor": list(m.color)}
+        if m.image is not None:
+            number = images.setdefault(id(m.image), len(images))
+            pixels[number] = np.asarray(m.image)
+            pbr["baseColorTexture"] = {"index": number}
+        cut = {"alphaMode": "MASK", "alphaCutoff": m.cutoff} if m.cutoff else {}
+        materials.append(Material({"pbrMetallicRoughness": pbr, "doubleSided": m.double, **cut}))
+    document = {"textures": [{"source": i} for i in range(len(images))]}
+    asset = Asset(name="bench", meshes=(made,), materials=tuple(materials), document=document)
+    own = dict(settings)
+    metric = own.pop("metric", "quadric")
+    fields = {name: own.pop(name) for name in list(own) if name in QuadricOptions.__dataclass_fields__}
+    if "weights" in own:
+        own["weights"] = ours.AttributeWeights(**own["weights"])
+    goals = [Target(triangles=t) for t in targets]
+    begin = time.process_time()
+    lods = ours.decimate_asset(asset, goals, QuadricOptions(**fields), metric=metric, threads=1, **own)
+    seconds = time.process_time() - begin
+    out = []
+    for lod in lods[1:]:
+        level = lod.meshes[0]
+        get = {name: table[level.wedges] for name, table in level.attributes.items()}.get
+        columns = get("TEXCOORD_0"), get("NORMAL"), get("COLOR_0")
+        one = harness.corners(level.positions, level.faces, *columns, level.face_primitive)
+        one.mats = source.mats
+        out.append(one)
+    return out, seconds
 
 
 def _primitives(count: int, attributes: tuple[str, ...]) -> tuple[Any, ...]:

@@ -336,3 +336,53 @@ def test_parts_of_two_meshes_may_be_joined(placement):
     assert places[0] & places[1]
     for mesh, middle in zip(level.meshes, ([0, 0, 0], [2.05, 0, 0]), strict=True):
         assert len(mesh.faces) > 200 and np.linalg.norm(mesh.positions - middle, axis=1).max() < 1.4
+
+
+# ---------------------------------------------------------------------------------------------------------- visual
+
+
+def off(source, level):
+    """Mean distance of a level to the source, % of the diagonal."""
+    return distance_between(flatten(source), flatten(source, level.meshes), 20_000).mean
+
+
+def test_visual_levels_are_nearer_and_shaded_like_the_source():
+    source = asset(Mesh(*bumpy(5, 0.05)))
+    plain = levels(source, 400, setting=None)[1]
+    visual = levels(source, 400, setting=None, metric="visual")[1]
+    assert visual.triangles == plain.triangles == 400
+    assert off(source, visual) < 0.85 * off(source, plain)
+    normals = visual.meshes[0].attributes["NORMAL"]
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+    assert "NORMAL" not in source.meshes[0].attributes
+
+
+def test_visual_keeps_attributes_materials_and_targets():
+    ball = uv_sphere(32, 64, materials=2).mesh()
+    beside = {"mesh": 1, "translation": [3, 0, 0], "scale": [1, -2, 1]}
+    source = asset(ball, Mesh(*bumpy(3)), nodes=[{"mesh": 0}, beside])
+    level = levels(source, 900, setting=None, metric="visual")[1]
+    assert level.triangles in (899, 900)
+    made = level.meshes[0]
+    assert set(made.attributes) == set(ball.attributes) and set(made.face_primitive) == {0, 1}
+    assert made.attributes["COLOR_0"].min() >= 0 and made.attributes["COLOR_0"].max() <= 1
+    rough = level.meshes[1]
+    assert volume(rough.positions, rough.faces) == pytest.approx(volume(*bumpy(3)), rel=0.1)
+
+
+def test_visual_half_edges_invent_nothing():
+    source = asset(uv_sphere(16, 32).mesh())
+    made = levels(source, 300, setting=options(placement="endpoint"), metric="visual")[1].meshes[0]
+    known = {row.tobytes() for row in source.meshes[0].positions}
+    assert all(row.tobytes() in known for row in made.positions)
+
+
+def test_visual_is_cancelled_while_it_fits():
+    asked = []
+
+    def cancelled():
+        asked.append(1)
+        return len(asked) > 6
+
+    with pytest.raises(Cancelled):
+        levels(asset(Mesh(*bumpy(3))), 300, setting=None, metric="visual", cancelled=cancelled)

@@ -8,6 +8,7 @@
 #include <memory>
 
 #include "decimate.h"
+#include "fit.h"
 #include "uv.h"
 
 namespace nb = nanobind;
@@ -42,6 +43,8 @@ nb::dict level(lodpipe::Level& l, size_t columns) {
   d["face_source"] = give(l.face_source, 0);
   if (columns) d["values"] = give(l.values, columns);
   d["wedge_source"] = give(l.wedge_source, 0);
+  d["vertex_to"] = give(l.vertex_to, 0);
+  d["wedge_to"] = give(l.wedge_to, 0);
   return d;
 }
 
@@ -172,6 +175,36 @@ nb::dict uv_raster(Table<double> uv, Table<int32_t> edges, int left, int top, in
   return out;
 }
 
+lodpipe::FitMesh fit_mesh(const Table<double>& positions, const Table<int32_t>& faces, const Table<int32_t>& wedges,
+                          const Table<float>& values) {
+  return {positions.data(), static_cast<int>(positions.shape(0)), faces.data(), wedges.data(),
+          static_cast<int>(faces.shape(0)), values.data(), static_cast<int>(values.shape(0))};
+}
+
+nb::dict fit(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedges, Table<float> values,
+             Table<double> level_positions, Table<int32_t> level_faces, Table<int32_t> level_wedges,
+             Table<float> level_values, Column<int32_t> wedge_to, Column<uint8_t> tied,
+             std::function<bool()> go_on, const lodpipe::FitOptions& options) {
+  const lodpipe::FitInput in{fit_mesh(positions, faces, wedges, values),
+                             fit_mesh(level_positions, level_faces, level_wedges, level_values),
+                             static_cast<int>(values.shape(1)),
+                             wedge_to.data(),
+                             tied.data()};
+  lodpipe::FitResult result;
+  {
+    nb::gil_scoped_release release;
+    result = lodpipe::fit(in, options, [&] {
+      nb::gil_scoped_acquire acquire;
+      return go_on();
+    });
+  }
+  nb::dict out;
+  out["positions"] = give(result.positions, 3);
+  if (in.columns) out["values"] = give(result.values, in.columns);
+  out["moved"] = give(result.moved, 0);
+  return out;
+}
+
 template <class Enum>
 auto as_int(Enum lodpipe::Options::*field) {
   return std::pair([field](const lodpipe::Options& o) { return static_cast<int>(o.*field); },
@@ -202,7 +235,17 @@ NB_MODULE(_native, m) {
       .def_rw("keep_last", &Options::keep_last)
       .def_rw("chart_column", &Options::chart_column)
       .def_rw("threads", &Options::threads)
-      .def_rw("record", &Options::record);
+      .def_rw("record", &Options::record)
+      .def_rw("follow", &Options::follow);
+  using lodpipe::FitOptions;
+  nb::class_<FitOptions>(m, "FitOptions")
+      .def(nb::init<>())
+      .def_rw("samples", &FitOptions::samples)
+      .def_rw("moves", &FitOptions::moves)
+      .def_rw("fit_values", &FitOptions::fit_values)
+      .def_rw("chart_column", &FitOptions::chart_column)
+      .def_rw("flip_cos", &FitOptions::flip_cos)
+      .def_rw("threads", &FitOptions::threads);
   m.def("decimate", &decimate, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(),
         "values"_a.noconvert(), "column_weights"_a.noconvert(), "importance"_a.noconvert().none(),
         "locked"_a.noconvert().none(), "targets"_a, "progress"_a, "options"_a);
@@ -217,4 +260,7 @@ NB_MODULE(_native, m) {
         "reach"_a);
   m.def("uv_raster", &uv_raster, "uv"_a.noconvert(), "edges"_a.noconvert(), "left"_a, "top"_a, "width"_a, "height"_a,
         "reach"_a, "threads"_a);
+  m.def("fit", &fit, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(), "values"_a.noconvert(),
+        "level_positions"_a.noconvert(), "level_faces"_a.noconvert(), "level_wedges"_a.noconvert(),
+        "level_values"_a.noconvert(), "wedge_to"_a.noconvert(), "tied"_a.noconvert(), "go_on"_a, "options"_a);
 }

@@ -9,6 +9,7 @@
 #include <array>
 #include <cmath>
 #include <memory>
+#include <numeric>
 
 #include "merge.h"
 #include "mesh_state.h"
@@ -45,6 +46,12 @@ class Decimator {
       : in_(in), options_(options), progress_(progress), pool_(std::max(options.threads, 1)) {
     prepare(in_, options_, pool_, s_);
     keep_topology_ = options_.keep_topology;
+    if (options_.follow) {
+      s_.vertex_into.resize(s_.vertices.size());
+      s_.wedge_into.resize(s_.wedge_source.size());
+      std::iota(s_.vertex_into.begin(), s_.vertex_into.end(), 0);
+      std::iota(s_.wedge_into.begin(), s_.wedge_into.end(), 0);
+    }
     max_error_ = options_.max_error < 0 ? kInfinity : static_cast<float>(options_.max_error * s_.scale);
   }
 
@@ -496,6 +503,10 @@ class Decimator {
     uint8_t& flags = s_.flags[v];
     flags &= static_cast<uint8_t>(~kSeveralWedges);
     flags |= kDirty | (m.moved ? kMoved : 0) | (m.groups() > 1 ? kSeveralWedges : 0) | (s_.flags[u] & (kIrregular | kLocked));
+    if (options_.follow) {
+      s_.vertex_into[u] = v;
+      for (const auto& [from, to] : m.links()) s_.wedge_into[from] = to;
+    }
     s_.flags[u] = kDead;
     b.head = kNone;
     s_.cost[u] = kInfinity;
@@ -686,7 +697,23 @@ class Decimator {
       }
     }
     level.error = error / s_.scale;
+    if (options_.follow) {
+      level.vertex_to = followed(s_.vertex_into, s_.vertex_source, number, in_.vertex_count);
+      level.wedge_to = followed(s_.wedge_into, s_.wedge_source, wedge_number, in_.wedge_count);
+    }
     result_.levels.push_back(std::move(level));
+  }
+
+  // For each row of the input, the level's number of what it was merged into.
+  static std::vector<int32_t> followed(std::vector<int32_t>& into, const std::vector<int32_t>& source,
+                                       const std::vector<int32_t>& number, int rows) {
+    std::vector<int32_t> out(rows, kNone);
+    for (size_t i = 0; i < into.size(); ++i) {
+      auto last = static_cast<int32_t>(i);
+      while (into[last] != last) last = into[last] = into[into[last]];  // the path gets half as long
+      out[source[i]] = number[last];
+    }
+    return out;
   }
 
   void emit_wedge(int32_t w, Level& level) const {

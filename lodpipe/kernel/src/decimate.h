@@ -27,6 +27,7 @@ struct Options {
   int chart_column = -1;         // of `values`: u; v follows it. At seams they stay within their chart. −1: none
   int threads = 1;
   bool record = false;
+  bool follow = false;           // levels say which of their vertices and wedges stand for the input's
 };
 
 struct Input {
@@ -55,6 +56,7 @@ struct Level {
   std::vector<int32_t> face_source;    // row of the input
   std::vector<float> values;           // × columns
   std::vector<int32_t> wedge_source;   // row of the input; −1: new values
+  std::vector<int32_t> vertex_to, wedge_to;  // of the input, with `follow`: what stands for it; −1: nothing any more
 };
 
 // The sequence of collapses. A prefix of it, applied to the input, gives every level between.

@@ -115,6 +115,7 @@ struct State {
   Large<float> value, weight;
   Large<Slope> slope;
   std::vector<uint8_t> wedge_moved;
+  std::vector<int32_t> vertex_into, wedge_into;  // with `follow`: what each was merged into; itself while it lives
 
   double center[3] = {0, 0, 0};
   double scale = 1;  // input units → unit diagonal

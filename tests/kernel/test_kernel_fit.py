@@ -1,0 +1,156 @@
+"""The least-squares fit of a level: equal to the slow form, nearer to the source, within its guards."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lodpipe import kernel
+from lodpipe.kernel import fit_reference
+from measures import areas, spread
+from meshes import bumpy, grid, islands, seam_cylinder, terrain, uv_sphere
+from options import options
+
+
+def made(positions, faces, target, wedges=None, values=None, **changes):
+    values = np.ascontiguousarray(positions, np.float32) if values is None else values
+    wedges = faces if wedges is None else wedges
+    result = kernel.decimate(
+        positions,
+        faces,
+        [target],
+        options(follow=True, attribute_cost=False, keep_topology=False, **changes),
+        wedges=wedges,
+        values=values,
+        column_weights=[0.0] * values.shape[1],
+    )
+    return wedges, values, result.levels[0]
+
+
+def test_equal_to_the_slow_form():
+    positions, faces = bumpy(3, 0.05)
+    wedges, values, level = made(positions, faces, 60)
+    fast = kernel.fit(positions, faces, wedges, values, level, 1500, tied=[False] * 3)
+    slow = fit_reference.fit(positions, faces, wedges, values, level, 1500, moves=2)
+    assert np.abs(fast.positions - level.positions).max() > 0.01  # there was something to do
+    np.testing.assert_allclose(fast.positions, slow.positions, atol=2e-3)
+    np.testing.assert_allclose(fast.values, slow.values, atol=2e-3)
+
+
+def test_values_alone_are_equal_to_1e_5():
+    positions, faces = bumpy(2, 0.02)
+    wedges, values, level = made(positions, faces, 40)
+    fast = kernel.fit(positions, faces, wedges, values, level, 1500, moves=0, tied=[False] * 3)
+    slow = fit_reference.fit(positions, faces, wedges, values, level, 1500, moves=0)
+    np.testing.assert_array_equal(fast.positions, level.positions)
+    np.testing.assert_allclose(fast.values, slow.values, atol=1e-4)
+    assert np.median(np.abs(fast.values - slow.values)) < 1e-5
+
+
+def gap(positions, faces, level):
+    """Mean distance of points on the source to the level's faces."""
+    points = spread(positions, faces, 2000)
+    hit, weights = fit_reference.nearest(points, points, level.positions, level.faces)
+    seen = hit >= 0
+    found = np.einsum("nk,nkd->nd", weights, level.positions[level.faces[hit]])
+    return np.linalg.norm(points[seen] - found[seen], axis=1).mean()
+
+
+def test_the_surface_comes_nearer():
+    positions, faces = bumpy(4, 0.03)
+    wedges, values, level = made(positions, faces, 120)
+    fitted = kernel.fit(positions, faces, wedges, values, level, 5000, tied=[False] * 3)
+    assert gap(positions, faces, fitted) < 0.9 * gap(positions, faces, level)
+    assert (fitted.vertex_source == -1).all()
+
+
+def test_a_flat_open_sheet_stays_flat_and_keeps_its_outline():
+    positions, faces = grid(16)
+    wedges, values, level = made(positions, faces, 20)
+    fitted = kernel.fit(positions, faces, wedges, values, level, 2000, tied=[False] * 3)
+    assert np.abs(fitted.positions[:, 2]).max() < 1e-6
+    np.testing.assert_allclose(fitted.positions.min(axis=0), positions.min(axis=0), atol=1e-3)
+    np.testing.assert_allclose(fitted.positions.max(axis=0), positions.max(axis=0), atol=1e-3)
+    np.testing.assert_allclose(fitted.values, fitted.positions, atol=1e-4)  # linear: reproduced
+
+
+def test_equal_normals_at_a_seam_stay_equal():
+    ball = uv_sphere(24, 48)
+    wedges, values, level = made(ball.positions, ball.faces, 200, ball.wedges, ball.values)
+    tied = [False] * 2 + [True] * (values.shape[1] - 2)
+    fitted = kernel.fit(ball.positions, ball.faces, wedges, values, level, 5000, tied=tied, chart_column=0)
+    owner = np.zeros(len(fitted.values), int)
+    owner[fitted.wedges] = fitted.faces
+    seam = np.flatnonzero(np.bincount(owner) > 1)
+    assert len(seam) > 3
+    for vertex in seam:
+        rows = np.flatnonzero(owner == vertex)
+        if np.ptp(fitted.values[rows, 0]) < 0.5:
+            continue  # a pole, where many wedges meet
+        np.testing.assert_array_equal(fitted.values[rows[0], 2:5], fitted.values[rows[1], 2:5])
+    free = kernel.fit(ball.positions, ball.faces, wedges, values, level, 5000, tied=[False] * values.shape[1])
+    assert any(np.ptp(free.values[owner == v, 2]) > 1e-6 for v in seam)
+
+
+def test_texture_coordinates_stay_within_their_chart_and_a_gutter():
+    tube = seam_cylinder(48, 24, tiles=1.0)
+    wedges, values, level = made(tube.positions, tube.faces, 60, tube.wedges, tube.values)
+    fitted = kernel.fit(
+        tube.positions, tube.faces, wedges, values, level, 3000, tied=[False] * values.shape[1], chart_column=0
+    )
+    before, after = values[:, :2], fitted.values[:, :2]
+    room = 8 / 1024 + 1e-6  # the decimation's gutter and the fit's
+    assert (after >= before.min(axis=0) - room).all() and (after <= before.max(axis=0) + room).all()
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_any_number_of_threads_gives_the_same_bytes(threads):
+    positions, faces = bumpy(6, 0.05)
+    wedges, values, level = made(positions, faces, 6000)
+    one, many = (
+        kernel.fit(positions, faces, wedges, values, level, 60_000, tied=[True, False, False], threads=t)
+        for t in (1, threads)
+    )
+    for a, b in zip(dataclasses.astuple(one), dataclasses.astuple(many), strict=True):
+        assert a.tobytes() == b.tobytes() if isinstance(a, np.ndarray) else a == b
+
+
+def test_no_face_turns_over():
+    positions, faces = terrain(24, 0.4)
+    wedges, values, level = made(positions, faces, 40)
+    fitted = kernel.fit(positions, faces, wedges, values, level, 500, moves=5, tied=[False] * 3)
+    corners = np.stack([level.positions[level.faces], fitted.positions[fitted.faces]])
+    before, after = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+    assert np.abs(corners[1] - corners[0]).max() > 0.01
+    assert (np.einsum("fd,fd->f", before, after) > 0).all()
+
+
+def test_degenerate_input_and_stray_wedges():
+    positions, faces = bumpy(2)
+    flat = np.vstack([faces, faces[:3][:, [0, 1, 1]]]).astype(np.int32)
+    for p in (positions, positions * [1, 1, 0], positions * 0, positions * 1e150, positions * 1e-150):
+        wedges, values, level = made(p, flat, 30, values=np.ones((len(p), 2), np.float32))
+        fitted = kernel.fit(p, flat, wedges, values, level, 100, tied=[True, False], chart_column=0)
+        assert np.isfinite(fitted.positions).all() and np.isfinite(fitted.values).all()
+    charts = islands(*bumpy(2))
+    wedges, values, level = made(charts.positions, charts.faces, 20, charts.wedges, charts.values)
+    fitted = kernel.fit(
+        charts.positions, charts.faces, wedges, values, level, 400, tied=[False] * values.shape[1], chart_column=0
+    )
+    assert areas(fitted.positions, fitted.faces).min() > 0
+
+
+def test_without_values_positions_are_fitted_alone():
+    positions, faces = bumpy(4, 0.03)
+    wedges, values, level = made(positions, faces, 120, values=np.empty((len(positions), 0), np.float32))
+    fitted = kernel.fit(positions, faces, wedges, values, level, 5000)
+    assert gap(positions, faces, fitted) < 0.9 * gap(positions, faces, level)
+
+
+def test_it_stops_when_told():
+    positions, faces = bumpy(3)
+    wedges, values, level = made(positions, faces, 100)
+    same = kernel.fit(positions, faces, wedges, values, level, 500, tied=[False] * 3, go_on=lambda: False)
+    np.testing.assert_array_equal(same.positions, level.positions)
