@@ -15,29 +15,17 @@ import numpy as np
 
 import lodpipe
 from lodpipe.core.asset import Asset, Target
-from lodpipe.core.errors import AssetError
 from lodpipe.geometry.camera import Camera
 from lodpipe.geometry.decimate import decimate_asset
-from lodpipe.geometry.render import render
+from lodpipe.geometry.render import Style, render
 from lodpipe.geometry.sheet import contact_sheet, png_bytes
 from lodpipe.geometry.surface import Model
 from lodpipe.geometry.texture import Textures
-from lodpipe.io import decode_image
+from lodpipe.io import pixels_of
 
 ROOT = Path(__file__).parent.parent
 RATIOS = (0.5, 0.25, 0.1, 0.02)
 DIRECTION = (0.75, 0.3, 1.0)
-
-
-def textures(asset: Asset) -> Textures:
-    """The asset's images, decoded; those that cannot be are left out."""
-    pixels = {}
-    for index, image in enumerate(asset.images):
-        try:
-            pixels[index] = decode_image(image)
-        except AssetError as error:
-            print(f"left out: {error}", file=sys.stderr)
-    return Textures(pixels)
 
 
 def sheet(
@@ -45,11 +33,12 @@ def sheet(
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     """The source and a level for each of `ratios` from one direction; the second row has wires."""
     levels = decimate_asset(asset, [Target(ratio=ratio) for ratio in ratios])
-    images = textures(asset)
+    images = Textures(pixels_of(asset, lambda text: print(text, file=sys.stderr)))
     models = [Model(asset, level.meshes, images) for level in levels]
     camera = Camera.around(models[0].centre, max(model.radius for model in models), direction)
+    wires = Style(mode="clay", wireframe=1)
     pictures = [render(model, camera, size, size, supersample=3) for model in models]
-    pictures += [render(model, camera, size, size, supersample=3, wireframe=True, mode="clay") for model in models]
+    pictures += [render(model, camera, size, size, wires, supersample=3) for model in models]
     labels = [f"{level.triangles:,} triangles" for level in levels]
     labels += ["source", *(f"{100 * ratio:g} %" for ratio in ratios)]
     return contact_sheet(pictures, labels, columns=len(levels))

@@ -133,8 +133,27 @@ def _parser() -> argparse.ArgumentParser:
     inspect.add_argument("asset", metavar="ASSET")
     inspect.add_argument("--json", action="store_true", help="as JSON, with the field names of gltf-transform")
     inspect.set_defaults(command=_inspect)
+
+    compare = commands.add_parser("compare", help="how different two models look and are", description=_COMPARE)
+    compare.add_argument("a", metavar="A", help="the reference, a file of any format that is read")
+    compare.add_argument("b", metavar="B", help="what is compared with it: a level of it, or another tool's result")
+    compare.add_argument("--views", type=_count, default=12, metavar="N", help="directions (default: %(default)s)")
+    compare.add_argument("--size", type=_count, default=512, metavar="PX", help="pixels a side (default: %(default)s)")
+    compare.add_argument(
+        "--protocol",
+        choices=("studio", "papers"),
+        default="studio",
+        help="lights: as models are looked at, or as papers on simplification measure (default: %(default)s)",
+    )
+    compare.add_argument("--samples", type=_count, default=100_000, metavar="N", help="points for distances")
+    compare.add_argument("--json", action="store_true", help="as JSON")
+    compare.add_argument("-o", "--output", metavar="DIR", help="write pairs of pictures and difference maps")
+    compare.set_defaults(command=_compare)
     return parser
 
+
+_COMPARE = """How different two models look and are: pictures of both from many directions, and the distance between the
+surfaces. docs/measuring.md defines the figures."""
 
 _RUN = """Lead assets through the stages of a configuration. OUT/<relative folder>/<asset>/ gets a folder for each
 level, report.json and manifest.json; what fails leaves its record in OUT/.failed/."""
@@ -328,6 +347,32 @@ def _inspect(options: argparse.Namespace) -> int:
     uv = [[dataclasses.asdict(entry) for entry in uv_defects(mesh, sizes)] for mesh in asset.meshes]
     data = inspection(asset, topology, uv)
     print(inspection_json(data) if options.json else "\n".join(inspection_text(data)))
+    return 0
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from lodpipe import io
+    from lodpipe.geometry.compare import compare_models, galleries, pictures
+    from lodpipe.geometry.pictures import setup_named
+    from lodpipe.geometry.sheet import png_bytes
+    from lodpipe.geometry.texture import Textures
+    from lodpipe.io.writing import write_files
+    from lodpipe.reporting.comparison import comparison_data, comparison_text, dump_json
+    from lodpipe.reporting.table import Style
+
+    paths = (options.a, options.b)
+    assets = [io.load(Path(path)) for path in paths]
+    setup = setup_named(options.protocol, options.views, options.size)
+    warnings = [text for asset in assets for text in asset.warnings]
+    a, b = (Textures(io.pixels_of(asset, warnings.append), setup.lighting.linear) for asset in assets)
+    first, second = galleries(assets[0], assets[1], (a, b), setup)
+    figures = compare_models(first, second, samples=options.samples).data()
+    named = [(path, asset.triangles, asset.vertices) for path, asset in zip(paths, assets, strict=True)]
+    if options.output:
+        images = ((f"{name}.png", png_bytes(image)) for name, image in pictures(first, second))
+        figures["files"] = [str(path) for path in write_files(Path(options.output), images)]
+    data = comparison_data(named, figures, warnings)
+    print(dump_json(data) if options.json else "\n".join(comparison_text(data, Style(sys.stdout))))
     return 0
 
 

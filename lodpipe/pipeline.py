@@ -14,6 +14,7 @@ from lodpipe.config.load import Step, bind, resolved
 from lodpipe.config.model import Budgets, Config
 from lodpipe.config.source import Source
 from lodpipe.core.asset import Asset, Lod
+from lodpipe.core.cache import Cache
 from lodpipe.core.errors import LodpipeError
 from lodpipe.core.report import LevelReport, Report, StageReport
 from lodpipe.stage import AnyStage, Context, Progress
@@ -63,6 +64,7 @@ class Pipeline:
         report.warnings.extend(asset.warnings)
         log = log or logging.getLogger("lodpipe")
         files: dict[int, list[Path]] = {}
+        cache = Cache()
         for index, step in enumerate(self.steps):
             part = StageReport(step.stage.name, params=step.params.model_dump(mode="json"))
             report.stages.append(part)
@@ -75,6 +77,7 @@ class Pipeline:
                 log=log,
                 progress=_of_stage(progress, index, step.stage.name),
                 cancelled=cancelled,
+                cache=cache,
                 measurements=part.measurements,
                 warnings=part.warnings,
                 files=files,
@@ -154,6 +157,8 @@ def _level(number: int, level: Lod, files: list[Path], output: Path | None) -> L
     )
     if level.error:
         part.error = {"unit": "percent_of_diagonal", **dataclasses.asdict(level.error)}
+    if level.visual:
+        part.visual = level.visual.data()
     return part
 
 

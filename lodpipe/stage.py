@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from lodpipe.core.asset import Asset, Target
+from lodpipe.core.cache import Cache
 from lodpipe.core.errors import Cancelled
 from lodpipe.core.report import Measurement
 
@@ -50,6 +51,8 @@ class Context:
     log: logging.Logger = field(default_factory=lambda: logging.getLogger("lodpipe"))
     progress: Progress = lambda done, total: None
     cancelled: Callable[[], bool] = lambda: False
+    cache: Cache = field(default_factory=Cache)
+    """What stages of this run can use again: reference pictures, search structures."""
     measurements: list[Measurement] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     files: dict[int, list[Path]] = field(default_factory=dict)

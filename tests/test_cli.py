@@ -216,6 +216,42 @@ def heed_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+def test_compare_tells_how_different_two_models_are(main):
+    lodpipe.save(lodpipe.decimate(lodpipe.load(Path("a.obj")), 12), Path("b.ply"))
+    code, out, err = main("compare", "a.obj", "b.ply", "--views", "2", "--size", "64", "-o", "pairs")
+    assert (code, err) == (0, "")
+    assert out.splitlines()[0] == "A  a.obj: 32 triangles"
+    assert [word for word in ("PSNR", "SSIM", "FLIP", "silhouette", "largest distance") if word not in out] == []
+    assert len(list(Path("pairs").glob("view0[12]_*.png"))) == 6
+    assert "7 pictures: pairs/all.png" in out
+    code, out, _ = main("compare", "a.obj", "b.ply", "--views", "2", "--size", "64", "--protocol", "papers", "--json")
+    data = json.loads(out)
+    assert code == 0
+    assert (data["a"]["triangles"], data["visual"]["views"], data["warnings"]) == (32, 2, [])
+    assert 0 < data["visual"]["silhouette_iou"] <= 1
+
+
+def test_compare_with_itself(main):
+    code, out, _ = main("compare", "a.obj", "a.obj", "--views", "2", "--size", "32")
+    assert code == 0
+    assert "identical in every picture" in out
+    assert "psnr: the pictures are equal" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "complaint"),
+    [
+        (("a.obj", "nothing.obj"), 1, "error: nothing.obj: "),
+        (("a.obj", "a.obj", "-o", "a.obj/x", "--size", "16", "--views", "1"), 1, "error: a.obj/x: the folder"),
+        (("a.obj", "a.obj", "--views", "0"), 2, "is not a number of at least 1"),
+        (("a.obj", "a.obj", "--protocol", "film"), 2, "invalid choice"),
+    ],
+)
+def test_compare_refuses(main, arguments, code, complaint):
+    got, _, err = main("compare", *arguments)
+    assert (got, complaint in err) == (code, True), err
+
+
 def program(*arguments: str, **options) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "lodpipe", *arguments]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,38 @@ class ErrorFigures:
 
 
 @dataclass(frozen=True)
+class VisualFigures:
+    """How different a level looks from the source, over pictures of both from `views` directions; docs/measuring.md.
+
+    A figure that does not exist is None, and `reasons` says why under its name.
+    """
+
+    luminance_rms: float
+    """Root mean square difference of luma over all pixels, 0…255."""
+    psnr: float | None
+    """dB, over the pixels that either shows; None for pictures without a difference."""
+    ssim: float | None
+    """Structural similarity, up to 1 (the same)."""
+    ms_ssim: float | None
+    """The same over five scales, 0…1."""
+    flip: float | None
+    """0 (the same) … 1."""
+    silhouette_iou: float | None
+    """Overlap of the silhouettes, 0…1 (the same)."""
+    normal_degrees: float | None
+    """Mean angle between the facing normals where both are seen."""
+    views: int
+    size: int
+    """Pixels along a side of the pictures."""
+    reasons: Mapping[str, str] = field(default_factory=dict)
+
+    def data(self) -> dict[str, Any]:
+        """As reports hold it: the reasons stand beside their figures, as ``<figure>_reason``."""
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "reasons"}
+        return values | {f"{name}_reason": reason for name, reason in self.reasons.items()}
+
+
+@dataclass(frozen=True)
 class Switch:
     """Where a level takes over from the finer one before it.
 
@@ -87,6 +119,8 @@ class Lod:
     """The decimator's own estimate of the deviation, in % of the source's bounding-box diagonal."""
     error: ErrorFigures | None = None
     """Measured; None until a stage has measured it."""
+    visual: VisualFigures | None = None
+    """The same, of what is seen."""
     switch: Switch | None = None
     """None until a stage has settled it."""
     relaxed: bool = False

@@ -19,6 +19,18 @@ def views(count: int) -> F64:
     return np.stack([level * np.sin(turn), y, level * np.cos(turn)], axis=1)
 
 
+CARDINAL = {
+    "front": (0.0, 0.0, 1.0),
+    "right": (1.0, 0.0, 0.0),
+    "back": (0.0, 0.0, -1.0),
+    "left": (-1.0, 0.0, 0.0),
+    "top": (0.0, 1.0, 0.0),
+    "bottom": (0.0, -1.0, 0.0),
+}
+"""Where the camera stands for the six cardinal views; a model's front looks along +z, as glTF says. `right` is the
+viewer's right of the front view."""
+
+
 def bounding_sphere(soup: Soup) -> tuple[F64, float]:
     """Centre (3,) of the bounding box, and the radius that holds all triangles; 1 where they have no extent."""
     low, high = soup.bounds

@@ -82,7 +82,8 @@ class Soup:
         """The attribute `name` over all parts: values (W, K) float32, and (F,) bool which faces have it.
 
         None if no face has it. Where parts differ in K the rest is filled with ones (a colour's alpha). NORMAL is
-        turned into world space and has unit length, or zero length where the file's has.
+        turned into world space and has unit length, or zero length where the file's has; TANGENT likewise, and its
+        fourth value keeps the bitangent's side.
         """
         has = np.zeros(len(self.faces), bool)
         for part in self.parts:
@@ -96,7 +97,7 @@ class Soup:
             own = part.mesh.attributes.get(name)
             block = np.ones((_wedge_rows(part.mesh), width), np.float32)
             if own is not None:
-                block[:, : own.shape[1]] = _turned(own, part.matrix) if name == "NORMAL" else own
+                block[:, : own.shape[1]] = _TURN[name](own, part.matrix) if name in _TURN else own
             values.append(block)
         return np.concatenate(values), has
 
@@ -151,6 +152,17 @@ def _turned(normals: F32, matrix: F64) -> F32:
     turned = normals.astype(np.float64) @ (cofactors / scale if scale > 0 else np.eye(3)).T
     length = np.linalg.norm(turned, axis=1, keepdims=True)
     return (turned / np.where(length > 0, length, 1.0)).astype(np.float32)
+
+
+def _turned_tangents(tangents: F32, matrix: F64) -> F32:
+    """Unit tangents with their bitangent's sign (W, 4) under `matrix`: they lie in the surface."""
+    turned = tangents[:, :3].astype(np.float64) @ matrix[:3, :3].T
+    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    sides = tangents[:, 3:] * np.float32(-1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0)
+    return np.concatenate([(turned / np.where(length > 0, length, 1.0)).astype(np.float32), sides], axis=1)
+
+
+_TURN = {"NORMAL": _turned, "TANGENT": _turned_tangents}
 
 
 def _wedge_rows(mesh: Mesh) -> int:

@@ -27,7 +27,7 @@ def crease_normals(positions: F64 | F32, faces: I32, angle: float = 60.0) -> F32
     and edges sharp.
     """
     flat = face_normals(positions, faces)
-    weight = _corner_angles(positions, faces)
+    weight = corner_angles(positions, faces)
     owner = faces.ravel()
     around = np.empty((len(positions), 3))
     for axis in range(3):
@@ -64,7 +64,7 @@ def _means_within(flat: F64, weight: F64, owner: I32, rows: I32, least: float) -
     return unit(sums)[np.argsort(rows)]  # back in ascending order of corners
 
 
-def _corner_angles(positions: F64 | F32, faces: I32) -> F64:
+def corner_angles(positions: F64 | F32, faces: I32) -> F64:
     """(F, 3) float64: the angle of each face at each of its corners, in radians."""
     corners = positions[faces].astype(np.float64)
     forward = unit(np.roll(corners, -1, axis=1) - corners)

@@ -1,14 +1,14 @@
 """Pictures of a model, by casting a ray through each pixel.
 
-For looking at results and for measuring what is seen: base colour under two fixed lights, no shadows, no reflections.
-Colours are worked on in linear light and stored as sRGB.
+For looking at results and for measuring what is seen: base colour, normal maps and emission under fixed lights, no
+shadows, no reflections. Colours are worked on in linear light and stored as sRGB.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,6 @@ LIGHT = (0.93, 0.93, 0.93)
 DARK = (0.08, 0.08, 0.09)
 """Backgrounds, sRGB 0…1."""
 
-CLAY = 0.45
-"""Linear grey of untextured pictures."""
 WIRE = np.array([0.004, 0.004, 0.012], np.float32)
 """Linear colour of wires."""
 KEY = (-0.5, 0.65, 0.57)
@@ -36,7 +34,57 @@ STEP = 2e-5
 BATCH = 1 << 18
 """Rays followed at once, which bounds the memory of a picture of any size to about 200 MB."""
 
-Mode = Literal["shaded", "clay"]
+Mode = Literal["shaded", "clay", "normals", "uv"]
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """The lights of a picture: shade = ambient + head · cos + soft · (wrapped cosine with KEY)², at most 1 in all.
+
+    ambient, head, soft  from everywhere, from the camera, from above left (`KEY`)
+    clay                 grey of untextured pictures, in the space that `linear` says
+    linear               whether colours are multiplied in linear light and then encoded as sRGB, or as they are stored
+    maps                 whether normal maps and emission count, or base colour alone
+    turned               whether a normal that looks away (a coarse mesh's, at its outline) is turned to the camera, or
+                         gets no light from there
+    """
+
+    ambient: float
+    head: float
+    soft: float
+    clay: float
+    linear: bool = True
+    maps: bool = True
+    turned: bool = False
+
+
+STUDIO = Lighting(0.08, 0.52, 0.4, clay=0.45)
+"""What pictures are made with."""
+HEADLIGHT = Lighting(0.15, 0.85, 0.0, clay=0.9, linear=False, maps=False, turned=True)
+"""One light at the camera, sRGB values multiplied as they are: the usual set-up of papers on simplification. The
+model's textures have to be made with ``Textures(pixels, srgb=False)`` for it."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """What is drawn at a surface.
+
+    mode            shaded: colours and textures as the materials say; clay: grey, with normals made from the triangles;
+                    normals: shading normals in the camera's axes as colours; uv: a chequer laid out by TEXCOORD_0
+    face_colours    (F, 3) sRGB 0…1 in place of the materials' colours, for rows of the model's faces; alpha stays
+    vertex_colours  (V, 3) the same for rows of the model's positions, blended over each face
+    lit             whether these two and the chequer are shaded
+    wireframe       width of the triangles' edges over the picture, in pixels of the final picture; 0: none
+    cull            do not draw the backs of single-sided materials; otherwise every face has two sides
+    """
+
+    mode: Mode = "shaded"
+    lighting: Lighting = STUDIO
+    face_colours: F32 | None = None
+    vertex_colours: F32 | None = None
+    lit: bool = True
+    wireframe: float = 0.0
+    cull: bool = False
 
 
 @dataclass(frozen=True)
@@ -46,12 +94,14 @@ class Buffers:
     hit      (H, W) bool: the silhouette
     depth    (H, W) float32 distance from the camera along the ray, in world units; infinity if none
     normals  (H, W, 3) float32 unit shading normals in world space, on the seen side; zero if none
+    facing   (H, W, 3) float32 unit normals of the triangles, on the seen side; zero if none
     faces    (H, W) int32 rows of the model's faces, −1 if none
     """
 
     hit: NDArray[np.bool_]
     depth: F32
     normals: F32
+    facing: F32
     faces: I32
 
 
@@ -60,58 +110,64 @@ def render(
     camera: Camera,
     width: int = 512,
     height: int = 512,
+    style: Style | None = None,
     *,
-    mode: Mode = "shaded",
     background: tuple[float, float, float] | None = LIGHT,
     supersample: int = 2,
-    wireframe: bool = False,
-    cull: bool = False,
 ) -> U8:
     """A picture (height, width, 3) uint8 of sRGB values, or (height, width, 4) with alpha if `background` is None.
 
-    mode         shaded: colours and textures as the materials say; clay: grey, with normals made from the triangles
-    supersample  rays along each side of a pixel
-    wireframe    draw the triangles' edges over the picture
-    cull         do not draw the backs of single-sided materials; otherwise every face has two sides
+    `supersample` is the number of rays along each side of a pixel.
     """
+    style = style or Style()
     columns, lines = width * supersample, height * supersample
     picture = np.empty((height, width, 3 if background is not None else 4), np.uint8)
     step = max(BATCH // (columns * supersample), 1)
     for top in range(0, height, step):
         rows = slice(top, min(top + step, height))
         fine = slice(rows.start * supersample, rows.stop * supersample)
-        premultiplied = _band(model, camera, columns, lines, fine, mode, supersample if wireframe else 0, cull)
+        band = _Band(columns * (fine.stop - fine.start))
+        for layer in _layers(model, camera, columns, lines, fine, style):
+            band.colour(model, camera, layer, style, supersample)
         shape = (rows.stop - rows.start, supersample, width, supersample, 4)
-        picture[rows] = _finished(premultiplied.reshape(shape).mean(axis=(1, 3), dtype=np.float32), background)
+        premultiplied = band.colours.reshape(shape).mean(axis=(1, 3), dtype=np.float32)
+        picture[rows] = as_bytes(finished(premultiplied, background, style.lighting.linear))
     return picture
+
+
+def shoot(
+    model: Model, camera: Camera, width: int = 512, height: int = 512, style: Style | None = None
+) -> tuple[F32, Buffers]:
+    """A picture for measuring, one ray a pixel: premultiplied RGBA (H, W, 4) float32 as `finished` takes it, and what
+    lies under the pixels."""
+    return _shot(model, camera, width, height, style or Style(), colours=True)
 
 
 def buffers(model: Model, camera: Camera, width: int = 512, height: int = 512, cull: bool = False) -> Buffers:
     """Silhouette, depth, normals and face numbers as data."""
-    hit = np.zeros(width * height, bool)
-    depth = np.full(width * height, np.inf, np.float32)
-    normals = np.zeros((width * height, 3), np.float32)
-    faces = np.full(width * height, -1, np.int32)
-    step = max(BATCH // width, 1)
-    for top in range(0, height, step):
-        rows = slice(top, min(top + step, height))
-        for layer in _layers(model, camera, width, height, rows, only_alpha=True, cull=cull):
-            first = np.flatnonzero((layer.rgba[:, 3] > 0) & ~hit[layer.rays + rows.start * width])
-            at = layer.rays[first] + rows.start * width
-            spots = layer.spots.take(first)
-            hit[at] = True
-            depth[at] = layer.distance[first] * np.float32(model.radius)
-            normals[at] = model.shading_normals(spots)
-            faces[at] = spots.faces
-    shape = (height, width)
-    return Buffers(hit.reshape(shape), depth.reshape(shape), normals.reshape(*shape, 3), faces.reshape(shape))
+    return _shot(model, camera, width, height, Style(cull=cull), colours=False)[1]
+
+
+def finished(premultiplied: F32, background: tuple[float, float, float] | None, linear: bool = True) -> F32:
+    """sRGB values (…, 3) of premultiplied RGBA (…, 4) on a background, or straight RGBA (…, 4) if it is None.
+
+    `linear` says whether the values are linear light that has to be encoded, or sRGB already.
+    """
+    alpha = np.minimum(premultiplied[..., 3:], 1.0)
+    if background is None:
+        colour = premultiplied[..., :3] / np.maximum(premultiplied[..., 3:], np.float32(1e-6))
+        return np.concatenate([to_srgb(colour) if linear else np.clip(colour, 0, 1), alpha], axis=-1)
+    behind = np.array(background, np.float64)
+    behind = (to_linear(behind) if linear else behind).astype(np.float32)
+    values = premultiplied[..., :3] + (1 - alpha) * behind
+    return to_srgb(values) if linear else np.clip(values, 0, 1)
 
 
 def normal_picture(seen: Buffers, camera: Camera) -> U8:
     """Normals as colours (H, W, 3) uint8: x, y, z to the camera's right, up and back as red, green, blue."""
     turned = seen.normals @ np.stack(camera.axes).astype(np.float32).T
     colours = np.where(seen.hit[..., None], turned * 0.5 + 0.5, 0.5)
-    return _bytes(np.clip(colours, 0.0, 1.0).astype(np.float32))
+    return as_bytes(np.clip(colours, 0.0, 1.0).astype(np.float32))
 
 
 def depth_picture(seen: Buffers) -> U8:
@@ -139,9 +195,11 @@ class _Layer:
 
 
 def _layers(
-    model: Model, camera: Camera, width: int, height: int, rows: slice, *, only_alpha: bool = False, cull: bool = False
+    model: Model, camera: Camera, width: int, height: int, rows: slice, style: Style, only_alpha: bool | None = None
 ) -> Iterator[_Layer]:
     """The surfaces that the rays through the pixels of `rows` meet, front to back, until nothing shines through."""
+    if only_alpha is None:
+        only_alpha = style.mode != "shaded" or style.face_colours is not None or style.vertex_colours is not None
     origins, directions = camera.rays(width, height, rows, model.centre, model.radius)
     constant, growing = camera.pixel_size(height, model.radius)
     rays = np.arange(len(origins))
@@ -161,7 +219,7 @@ def _layers(
             directions=directions[rays],
             pixel=np.float32(constant) + np.float32(growing) * distance,
         )
-        layer = _Layer(rays, spots, distance, model.colours(spots, only_alpha, cull))
+        layer = _Layer(rays, spots, distance, model.colours(spots, only_alpha, style.cull))
         yield layer
         light[rays] *= 1 - layer.rgba[:, 3]
         gone[rays] = distance + np.float32(STEP)
@@ -170,34 +228,106 @@ def _layers(
             return
 
 
-def _band(model: Model, camera: Camera, width: int, height: int, rows: slice, mode: Mode, wire: int, cull: bool) -> F32:
-    """(N, 4) float32 linear RGB times alpha, and alpha, of the pixels of `rows`; wires `wire` pixels wide."""
-    result = np.zeros((width * (rows.stop - rows.start), 4), np.float32)
-    clay = mode == "clay"
-    for layer in _layers(model, camera, width, height, rows, only_alpha=clay, cull=cull):
-        colour = np.full((len(layer.rays), 3), CLAY, np.float32) if clay else layer.rgba[:, :3]
-        shade = _light(model.shading_normals(layer.spots, own=not clay), layer.spots.directions, camera)
-        if not clay:
-            shade[model.unlit(layer.spots)] = 1.0
-        lit = colour * shade[:, None]
-        if wire:
-            lit += (WIRE - lit) * _wires(model, layer.spots, wire)[:, None]
-        alpha = layer.rgba[:, 3] * (1 - result[layer.rays, 3])
-        result[layer.rays, :3] += lit * alpha[:, None]
-        result[layer.rays, 3] += alpha
-    return result
+class _Band:
+    """What the rays of a band have gathered so far, and what the first surfaces are."""
+
+    def __init__(self, count: int) -> None:
+        self.colours: F32 = np.zeros((count, 4), np.float32)
+        self.hit = np.zeros(count, bool)
+        self.depth: F32 = np.full(count, np.inf, np.float32)
+        self.normals: F32 = np.zeros((count, 3), np.float32)
+        self.facing: F32 = np.zeros((count, 3), np.float32)
+        self.faces: I32 = np.full(count, -1, np.int32)
+
+    def colour(self, model: Model, camera: Camera, layer: _Layer, style: Style, pixel: int = 1) -> F32:
+        """Lay a surface behind what is there already; returns its shading normals. A pixel is `pixel` rays wide."""
+        normals = model.shading_normals(layer.spots, own=style.mode != "clay", mapped=style.lighting.maps)
+        lit = _shaded(model, camera, layer, normals, style)
+        if style.wireframe:
+            lit += (WIRE - lit) * _wires(model, layer.spots, style.wireframe * pixel)[:, None]
+        alpha = layer.rgba[:, 3] * (1 - self.colours[layer.rays, 3])
+        self.colours[layer.rays, :3] += lit * alpha[:, None]
+        self.colours[layer.rays, 3] += alpha
+        return normals
+
+    def note(self, model: Model, layer: _Layer, normals: F32 | None) -> None:
+        """Keep what lies at the surface where it is the first that covers anything."""
+        first = np.flatnonzero((layer.rgba[:, 3] > 0) & ~self.hit[layer.rays])
+        at, spots = layer.rays[first], layer.spots.take(first)
+        self.hit[at] = True
+        self.depth[at] = layer.distance[first] * np.float32(model.radius)
+        self.normals[at] = model.shading_normals(spots) if normals is None else normals[first]
+        self.facing[at] = model.facing_normals(spots)
+        self.faces[at] = spots.faces
 
 
-def _light(normals: F32, directions: F32, camera: Camera) -> F32:
-    """(N,) float32 in 0…1: a headlight, a soft light from above left, and a little from everywhere."""
-    head = np.maximum(-np.einsum("nd,nd->n", normals, directions), 0.0)
-    key = np.array(KEY) @ np.stack(camera.axes)
-    soft = 0.5 + 0.5 * (normals @ (key / np.linalg.norm(key)).astype(np.float32))
-    shade: F32 = np.float32(0.08) + np.float32(0.52) * head + np.float32(0.4) * soft * soft
+def _shot(model: Model, camera: Camera, width: int, height: int, style: Style, *, colours: bool) -> tuple[F32, Buffers]:
+    step = max(BATCH // width, 1)
+    bands = []
+    for top in range(0, height, step):
+        rows = slice(top, min(top + step, height))
+        band = _Band(width * (rows.stop - rows.start))
+        for layer in _layers(model, camera, width, height, rows, style, None if colours else True):
+            band.note(model, layer, band.colour(model, camera, layer, style) if colours else None)
+        bands.append(band)
+
+    def whole(name: str) -> Any:
+        values = np.concatenate([getattr(band, name) for band in bands])
+        return values.reshape(height, width, *values.shape[1:])
+
+    seen = Buffers(*(whole(name) for name in ("hit", "depth", "normals", "facing", "faces")))
+    return whole("colours"), seen
+
+
+def _shaded(model: Model, camera: Camera, layer: _Layer, normals: F32, style: Style) -> F32:
+    """(N, 3) float32: the light that comes from a surface."""
+    spots, lighting = layer.spots, style.lighting
+    replaced = _replaced(model, camera, layer.spots, normals, style)
+    if replaced is not None:
+        colour, lit = replaced
+        if lighting.linear:
+            colour = to_linear(colour).astype(np.float32)
+        return colour * _light(normals, spots.directions, camera, lighting)[:, None] if lit else colour
+    if style.mode == "clay":
+        return np.float32(lighting.clay) * np.repeat(
+            _light(normals, spots.directions, camera, lighting)[:, None], 3, axis=1
+        )
+    shade = _light(normals, spots.directions, camera, lighting)
+    shade[model.unlit(spots)] = 1.0
+    light: F32 = layer.rgba[:, :3] * shade[:, None]
+    if lighting.maps:
+        model.add_emission(spots, light)
+    return light
+
+
+def _replaced(model: Model, camera: Camera, spots: Spots, normals: F32, style: Style) -> tuple[F32, bool] | None:
+    """Colours (N, 3), sRGB, that stand in for the materials', and whether they are lit; None: there are none."""
+    if style.face_colours is not None:
+        return np.asarray(style.face_colours, np.float32)[spots.faces], style.lit
+    if style.vertex_colours is not None:
+        corners = np.asarray(style.vertex_colours, np.float32)[model.faces[spots.faces]]
+        return np.einsum("nkd,nk->nd", corners, spots.weights), style.lit
+    if style.mode == "normals":
+        turned = normals @ np.stack(camera.axes).astype(np.float32).T
+        return np.clip(turned * np.float32(0.5) + np.float32(0.5), 0, 1), False
+    if style.mode == "uv":
+        return model.chequer(spots), style.lit
+    return None
+
+
+def _light(normals: F32, directions: F32, camera: Camera, lighting: Lighting) -> F32:
+    """(N,) float32 in 0…1: how much light a surface sends back."""
+    facing = -np.einsum("nd,nd->n", normals, directions)
+    head = np.abs(facing) if lighting.turned else np.maximum(facing, 0.0)
+    shade: F32 = np.float32(lighting.ambient) + np.float32(lighting.head) * head
+    if lighting.soft:
+        key = np.array(KEY) @ np.stack(camera.axes)
+        soft = 0.5 + 0.5 * (normals @ (key / np.linalg.norm(key)).astype(np.float32))
+        shade += np.float32(lighting.soft) * soft * soft
     return shade
 
 
-def _wires(model: Model, spots: Spots, width: int) -> F32:
+def _wires(model: Model, spots: Spots, width: float) -> F32:
     """(N,) float32: how much of a pixel the nearest edge of its triangle covers, drawn `width` pixels wide."""
     corners = model.corners(spots.faces)
     along = spots.directions[:, None]
@@ -211,18 +341,7 @@ def _wires(model: Model, spots: Spots, width: int) -> F32:
     return covered
 
 
-def _finished(premultiplied: F32, background: tuple[float, float, float] | None) -> U8:
-    alpha = np.minimum(premultiplied[..., 3:], 1.0)
-    if background is None:
-        colour = premultiplied[..., :3] / np.maximum(premultiplied[..., 3:], np.float32(1e-6))
-        values = np.concatenate([to_srgb(colour), alpha], axis=-1)
-    else:
-        behind = to_linear(np.array(background)).astype(np.float32)
-        values = to_srgb(premultiplied[..., :3] + (1 - alpha) * behind)
-    return _bytes(values)
-
-
-def _bytes(values: F32) -> U8:
+def as_bytes(values: F32) -> U8:
     """uint8 from 0…1."""
     result: U8 = np.rint(values * 255).astype(np.uint8)
     return result

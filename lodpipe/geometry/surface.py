@@ -11,15 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodpipe.core.asset import Asset
-from lodpipe.core.material import Material, TextureRef
+from lodpipe.core.material import Material, TextureRef, texture_ref
 from lodpipe.core.mesh import F32, F64, I32, Mesh
 from lodpipe.geometry.camera import bounding_sphere
 from lodpipe.geometry.flatten import Soup, flatten
 from lodpipe.geometry.normals import crease_normals, face_normals
-from lodpipe.geometry.texture import NEAREST, REPEAT, Texture, Textures, uv_matrix
+from lodpipe.geometry.tangents import corner_tangents
+from lodpipe.geometry.texture import NEAREST, REPEAT, Texture, Textures, chequer, to_srgb, uv_matrix
 
 CREASE = 60.0
 """Degrees between faces from which an edge without normals of its own looks sharp."""
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A material's use of a texture, as the renderer reads it."""
+
+    texture: Texture
+    uv_name: str = "TEXCOORD_0"
+    uv_matrix: F64 | None = None
+    """(2, 3), see `uv_matrix`; None: as they are."""
+    wrap: tuple[int, int] = (REPEAT, REPEAT)
+    nearest: bool = False
 
 
 @dataclass(frozen=True)
@@ -28,12 +41,12 @@ class Look:
 
     factor: F32
     """Linear RGBA (4,)."""
-    texture: Texture | None = None
-    uv_name: str = "TEXCOORD_0"
-    uv_matrix: F64 | None = None
-    """(2, 3), see `uv_matrix`."""
-    wrap: tuple[int, int] = (REPEAT, REPEAT)
-    nearest: bool = False
+    base: Slot | None = None
+    normal: Slot | None = None
+    normal_scale: float = 1.0
+    emission: F32 | None = None
+    """Linear RGB (3,), None for what does not shine."""
+    emission_map: Slot | None = None
     alpha_mode: str = "OPAQUE"
     cutoff: float = 0.5
     double_sided: bool = False
@@ -82,6 +95,21 @@ class Model:
         images = Textures() if textures is None else textures
         self.looks = [_look(material, asset.document, images) for material in (*asset.materials, Material())]
 
+    def prepare(self) -> None:
+        """Make all that pictures need: afterwards several threads may take them at once."""
+        if not len(self.faces):
+            return
+        for look in self.looks:
+            for slot in (look.base, look.normal, look.emission_map):
+                if slot is not None:
+                    self._attribute(slot.uv_name)
+            if look.normal is not None:
+                self._tangents(look.normal.uv_name)
+        self._attribute("COLOR_0")
+        self._corner_normals(np.arange(len(self.faces), dtype=np.int32))
+        self.geometric_normals(np.zeros(1, np.int32))
+        self.rays.cast(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+
     def corners(self, faces: I32) -> F32:
         """(N, 3, 3) float32: the corners of `faces`, about the origin and in radii."""
         return self.positions[self.faces[faces]]
@@ -90,28 +118,27 @@ class Model:
         """(N, 3) float32 unit normals of the triangles `faces`."""
         return self._face_normals[faces]
 
-    def shading_normals(self, spots: Spots, own: bool = True) -> F32:
+    def facing_normals(self, spots: Spots) -> F32:
+        """(N, 3) float32 unit normals of the triangles, on the viewer's side."""
+        flat = self.geometric_normals(spots.faces)
+        behind = np.einsum("nd,nd->n", flat, spots.directions) > 0
+        return np.where(behind[:, None], -flat, flat)
+
+    def shading_normals(self, spots: Spots, own: bool = True, mapped: bool = True) -> F32:
         """(N, 3) float32 unit normals on the viewer's side of the triangles.
 
-        The file's where a face has them, else from the triangles, smooth but for creases; `own` = False: all from
-        the triangles.
+        The file's where a face has them, else from the triangles, smooth but for creases; with normal maps if
+        `mapped`. `own` = False: all from the triangles.
         """
-        given = self._attribute("NORMAL") if own else None
-        if given is None:
-            corners = self._creased[spots.faces]
-        else:
-            values, has = given
-            corners = values[self.soup.wedges[spots.faces]]
-            missing = ~has[spots.faces] | ~np.all(np.any(corners, axis=2), axis=1)
-            if missing.any():
-                corners[missing] = self._creased[spots.faces[missing]]
-        normals = _blend(corners, spots.weights)
+        normals = _blend(self._corner_normals(spots.faces) if own else self._creased[spots.faces], spots.weights)
         length = np.sqrt(np.einsum("nd,nd->n", normals, normals))
         flat = self.geometric_normals(spots.faces)
         normals = np.where(length[:, None] > 1e-6, normals / np.maximum(length, 1e-6)[:, None], flat)
         # the side of the triangle that is seen decides: a smooth normal may look past the silhouette
         seen_from_behind = np.einsum("nd,nd->n", flat, spots.directions) > 0
         against = np.einsum("nd,nd->n", normals, flat) < 0
+        if own and mapped:
+            self._perturb(spots, normals)
         normals[seen_from_behind != against] *= -1
         return normals
 
@@ -141,19 +168,28 @@ class Model:
         """(N,) bool: whether the material asks for its colour without light (KHR_materials_unlit)."""
         return np.array([look.unlit for look in self.looks])[self.soup.face_material[spots.faces]]
 
+    def add_emission(self, spots: Spots, lit: F32) -> None:
+        """Add to `lit` (N, 3), linear, what the materials shine with by themselves."""
+        if all(look.emission is None for look in self.looks):
+            return
+        material = self.soup.face_material[spots.faces]
+        for index in np.unique(material):
+            look = self.looks[index]
+            if look.emission is not None:
+                rows = np.flatnonzero(material == index)
+                seen = None if look.emission_map is None else self._sampled(look.emission_map, spots.take(rows))
+                lit[rows] += look.emission if seen is None else look.emission * seen[:, :3]
+
+    def chequer(self, spots: Spots) -> F32:
+        """(N, 3) float32 sRGB: a numbered chequer laid out by TEXCOORD_0; grey where a face has none."""
+        seen = self._sampled(Slot(chequer()), spots, missing=0.2)
+        return np.full((len(spots.faces), 3), 0.5, np.float32) if seen is None else to_srgb(seen[:, :3])
+
     def _base_colour(self, look: Look, spots: Spots) -> F32:
         rgba = np.broadcast_to(look.factor, (len(spots.faces), 4)).copy()
-        coordinates = self._attribute(look.uv_name) if look.texture is not None else None
-        if look.texture is not None and coordinates is not None:
-            values, has = coordinates
-            corners = values[self.soup.wedges[spots.faces]][:, :, :2]
-            if look.uv_matrix is not None:
-                corners = (corners @ look.uv_matrix[:, :2].T + look.uv_matrix[:, 2]).astype(np.float32)
-            texels = self._footprint(look.texture, corners, spots)
-            uv = _blend(corners, spots.weights)
-            with_uv = has[spots.faces]
-            seen = look.texture.sample(uv, texels, look.wrap, look.nearest)
-            rgba *= np.where(with_uv[:, None], seen, np.float32(1.0))
+        seen = None if look.base is None else self._sampled(look.base, spots)
+        if seen is not None:
+            rgba *= seen
         colours = self._attribute("COLOR_0")
         if colours is not None:
             values, has = colours
@@ -161,6 +197,83 @@ class Model:
             blended[~has[spots.faces]] = 1.0
             rgba[:, : blended.shape[1]] *= np.clip(blended, 0.0, 1.0)
         return rgba
+
+    def _sampled(self, slot: Slot, spots: Spots, missing: float = 1.0) -> F32 | None:
+        """(N, 4) float32 of the texture, `missing` where a face has no such UVs; None if none of the model has."""
+        coordinates = self._attribute(slot.uv_name)
+        if coordinates is None:
+            return None
+        values, has = coordinates
+        corners = values[self.soup.wedges[spots.faces]][:, :, :2]
+        if slot.uv_matrix is not None:
+            corners = (corners @ slot.uv_matrix[:, :2].T + slot.uv_matrix[:, 2]).astype(np.float32)
+        texels = self._footprint(slot.texture, corners, spots)
+        seen = slot.texture.sample(_blend(corners, spots.weights), texels, slot.wrap, slot.nearest)
+        seen[~has[spots.faces]] = missing
+        return seen
+
+    def _perturb(self, spots: Spots, normals: F32) -> None:
+        """Turn `normals` (N, 3), in place, as the materials' normal maps say."""
+        if all(look.normal is None for look in self.looks):
+            return
+        material = self.soup.face_material[spots.faces]
+        for index in np.unique(material):
+            look = self.looks[index]
+            if look.normal is None:
+                continue
+            rows = np.flatnonzero(material == index)
+            own = spots.take(rows)
+            tangents = self._tangents(look.normal.uv_name)
+            seen = self._sampled(look.normal, own)
+            if tangents is None or seen is None:
+                continue
+            blended = _blend(tangents[own.faces], own.weights)
+            n, t = normals[rows], blended[:, :3]
+            t = t - np.einsum("nd,nd->n", n, t)[:, None] * n
+            length = np.sqrt(np.einsum("nd,nd->n", t, t))
+            t /= np.maximum(length, np.float32(1e-20))[:, None]
+            b = np.cross(n, t) * np.where(blended[:, 3] < 0, np.float32(-1), np.float32(1))[:, None]
+            x, y, z = (seen[:, k, None] * np.float32(2) - np.float32(1) for k in range(3))
+            scale = np.float32(look.normal_scale)
+            turned = x * scale * t + y * scale * b + np.maximum(z, np.float32(1e-3)) * n
+            turned /= np.sqrt(np.einsum("nd,nd->n", turned, turned))[:, None]
+            usable = (length > 1e-6) & np.isfinite(turned).all(axis=1)  # no tangent, no map
+            normals[rows[usable]] = turned[usable]
+
+    def _corner_normals(self, faces: I32) -> F32:
+        """(N, 3, 3) float32: the normals at the corners of `faces`, the file's or made from the triangles."""
+        given = self._attribute("NORMAL")
+        if given is None:
+            return self._creased[faces]
+        values, has = given
+        corners = values[self.soup.wedges[faces]]
+        missing = ~has[faces] | ~np.all(np.any(corners, axis=2), axis=1)
+        if missing.any():
+            corners[missing] = self._creased[faces[missing]]
+        return corners
+
+    def _tangents(self, uv_name: str) -> F32 | None:
+        """(F, 3, 4) float32: see `corner_tangents`; the file's where it has them. None if no face has such UVs."""
+        if uv_name not in self._made_tangents:
+            coordinates = self._attribute(uv_name)
+            made = None
+            if coordinates is not None:
+                every = np.arange(len(self.faces), dtype=np.int32)
+                uv = coordinates[0][self.soup.wedges][:, :, :2]
+                stored = self._attribute("TANGENT")
+                without = coordinates[1] if stored is None else coordinates[1] & ~stored[1]
+                made = corner_tangents(
+                    self.positions,
+                    self.faces,
+                    self.soup.wedges,
+                    np.nan_to_num(uv, posinf=0.0, neginf=0.0),
+                    self._corner_normals(every),
+                    np.flatnonzero(without),
+                )
+                if stored is not None:
+                    made[stored[1]] = stored[0][self.soup.wedges[stored[1]]]
+            self._made_tangents[uv_name] = made
+        return self._made_tangents[uv_name]
 
     def _footprint(self, texture: Texture, uv: F32, spots: Spots) -> F32:
         """(N,) float32: a pixel's width on the texture, in texels, the mean over its directions."""
@@ -185,6 +298,10 @@ class Model:
         return {}
 
     @cached_property
+    def _made_tangents(self) -> dict[str, F32 | None]:
+        return {}
+
+    @cached_property
     def _face_normals(self) -> F32:
         return face_normals(self.positions, self.faces).astype(np.float32)
 
@@ -194,32 +311,45 @@ class Model:
 
 
 def _look(material: Material, document: Mapping[str, Any], images: Textures) -> Look:
-    factor = np.array(material.base_color_factor, np.float32)
-    ref = material.base_color_texture
-    texture, sampler = (None, {}) if ref is None else _texture(ref, document, images)
-    moved = ref is not None and (ref.offset, ref.scale, ref.rotation) != ((0.0, 0.0), (1.0, 1.0), 0.0)
+    gltf = material.gltf
+    extensions: Mapping[str, Any] = gltf.get("extensions", {})
+    factor, base = material.base_color_factor, material.base_color_texture
+    older: Mapping[str, Any] | None = extensions.get("KHR_materials_pbrSpecularGlossiness")
+    if older is not None and "pbrMetallicRoughness" not in gltf:
+        factor, base = older.get("diffuseFactor", factor), texture_ref(older.get("diffuseTexture"))
+    strength = extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)
+    emission = np.array(gltf.get("emissiveFactor", (0.0, 0.0, 0.0)), np.float32) * np.float32(strength)
     return Look(
-        factor=factor,
-        texture=texture,
-        uv_name=f"TEXCOORD_{0 if ref is None else ref.texcoord}",
-        uv_matrix=uv_matrix(ref) if ref is not None and moved else None,
-        wrap=(sampler.get("wrapS", REPEAT), sampler.get("wrapT", REPEAT)),
-        nearest=sampler.get("magFilter") == NEAREST,
+        factor=np.array(factor, np.float32),
+        base=_slot(base, document, images),
+        normal=_slot(material.normal_texture, document, images, plain=True),
+        normal_scale=float(gltf.get("normalTexture", {}).get("scale", 1.0)),
+        emission=emission if emission.any() else None,
+        emission_map=_slot(texture_ref(gltf.get("emissiveTexture")), document, images) if emission.any() else None,
         alpha_mode=material.alpha_mode,
         cutoff=material.alpha_cutoff,
         double_sided=material.double_sided,
-        unlit="KHR_materials_unlit" in material.gltf.get("extensions", {}),
+        unlit="KHR_materials_unlit" in extensions,
     )
 
 
-def _texture(
-    ref: TextureRef, document: Mapping[str, Any], images: Textures
-) -> tuple[Texture | None, Mapping[str, Any]]:
-    """The texture that `ref` means and its sampler's settings."""
+def _slot(ref: TextureRef | None, document: Mapping[str, Any], images: Textures, plain: bool = False) -> Slot | None:
+    """What `ref` means; None where there is no texture, or its image is missing."""
+    if ref is None:
+        return None
     texture: Mapping[str, Any] = document.get("textures", ())[ref.texture]
-    image = image_index(texture)
+    pixels = images.get(image_index(texture), plain)
+    if pixels is None:
+        return None
     sampler = document["samplers"][texture["sampler"]] if "sampler" in texture else {}
-    return (None if image is None else images.get(image)), sampler
+    moved = (ref.offset, ref.scale, ref.rotation) != ((0.0, 0.0), (1.0, 1.0), 0.0)
+    return Slot(
+        pixels,
+        uv_name=f"TEXCOORD_{ref.texcoord}",
+        uv_matrix=uv_matrix(ref) if moved else None,
+        wrap=(sampler.get("wrapS", REPEAT), sampler.get("wrapT", REPEAT)),
+        nearest=sampler.get("magFilter") == NEAREST,
+    )
 
 
 def image_index(texture: Mapping[str, Any]) -> int | None:

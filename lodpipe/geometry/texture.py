@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from colorsys import hsv_to_rgb
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ CLAMP, MIRROR, REPEAT = 33071, 33648, 10497
 NEAREST = 9728
 """glTF's (OpenGL's) numbers of wrap and filter modes."""
 
+LARGEST = 8192
+"""No picture of a model shows more texels side by side; it bounds what a texture takes to 360 MB."""
 STRIP = 256
 """Rows that are turned into floats at once, which bounds the memory that building mip levels takes."""
 
@@ -52,13 +55,16 @@ def uv_matrix(ref: TextureRef) -> F64:
 class Texture:
     """An image with its mip levels.
 
-    pixels  (H, W, C) uint8, C = 1 (grey), 2 (grey, alpha), 3 or 4
-    srgb    whether grey and RGB are sRGB-encoded (base colour, emission) or plain numbers
+    pixels   (H, W, C) uint8, C = 1 (grey), 2 (grey, alpha), 3 or 4
+    srgb     whether grey and RGB are sRGB-encoded (base colour, emission) or plain numbers
+    largest  texels along a side from which the image itself is left out, and its mip levels begin the texture
     """
 
-    def __init__(self, pixels: U8, srgb: bool = True) -> None:
+    def __init__(self, pixels: U8, srgb: bool = True, largest: int = LARGEST) -> None:
         self._table = _LINEAR if srgb else _PLAIN
         self._srgb = srgb
+        while max(pixels.shape[:2]) > largest:
+            pixels = self._halved_bytes(pixels)
         levels = [_rgba(pixels)]
         smaller = self._halved(levels[0])
         while smaller is not None:
@@ -125,6 +131,17 @@ class Texture:
             strips.append(_halve(_halve(values, 0, height, top, count), 1, width, 0, max(width // 2, 1)))
         return np.concatenate(strips)
 
+    def _halved_bytes(self, pixels: U8) -> U8:
+        """The same of a large image of any number of channels, as RGBA bytes: never all of it in floats."""
+        height, width = (max(size // 2, 1) for size in pixels.shape[:2])
+        result = np.empty((height, width, 4), np.uint8)
+        for top in range(0, height, STRIP):
+            values = self._linear_image(_rgba(pixels[2 * top : 2 * (top + STRIP) + 1]))
+            count = min(STRIP, height - top)
+            halved = _halve(_halve(values, 0, pixels.shape[0], top, count), 1, pixels.shape[1], 0, width)
+            result[top : top + count] = self._to_bytes(halved)
+        return result
+
     def _linear_image(self, image: U8 | F32) -> F32:
         """Linear floats of texels in either form."""
         if image.dtype == np.float32:
@@ -140,26 +157,52 @@ class Texture:
         return texels
 
 
-class Textures(Mapping[int, Texture]):
-    """Textures by image index, made from decoded pixels when first used, and shared by all levels of an asset."""
+class Textures:
+    """Textures by image index, made when first used, and shared by all levels of an asset.
 
-    def __init__(self, pixels: Mapping[int, U8] | None = None) -> None:
-        self._pixels = dict(pixels or {})
-        self._made: dict[int, Texture] = {}
+    pixels  decoded images by index, or a function that gives an index' pixels, None for an image that cannot be had;
+            what it gives is not kept
+    srgb    False takes base colours as plain numbers too, for lights that multiply stored values
+    """
 
-    def __getitem__(self, image: int) -> Texture:
-        if image not in self._made:
-            self._made[image] = Texture(self._pixels[image])
-        return self._made[image]
+    def __init__(self, pixels: Mapping[int, U8] | Callable[[int], U8 | None] = lambda image: None, srgb: bool = True):
+        self._pixels = pixels.get if isinstance(pixels, Mapping) else pixels
+        self._srgb = srgb
+        self._made: dict[tuple[int, bool], Texture | None] = {}
 
-    def __contains__(self, image: object) -> bool:
-        return image in self._pixels
+    def get(self, image: int | None, plain: bool = False) -> Texture | None:
+        """The texture of an image, as data (a normal map) if `plain`; None if there is no such image."""
+        if image is None:
+            return None
+        key = image, self._srgb and not plain
+        if key not in self._made:
+            pixels = self._pixels(image)
+            self._made[key] = None if pixels is None else Texture(pixels, key[1])
+        return self._made[key]
 
-    def __iter__(self) -> Any:
-        return iter(self._pixels)
 
-    def __len__(self) -> int:
-        return len(self._pixels)
+@cache
+def chequer(cells: int = 16, texels: int = 64) -> Texture:
+    """A chequer with a letter for each column and a number for each row: it shows stretch, turns and mirroring.
+
+    Its hue runs along u and its lightness along v, so that a place can be told from its colour.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    size = cells * texels
+    picture = Image.new("RGB", (size, size))
+    draw = ImageDraw.Draw(picture)
+    font = ImageFont.load_default(texels * 0.45)
+    for row in range(cells):
+        for column in range(cells):
+            light = 0.55 + 0.4 * row / cells
+            value = light if (row + column) % 2 else 0.45 * light
+            colour = tuple(round(255 * c) for c in hsv_to_rgb(column / cells, 0.55, value))
+            left, top = column * texels, row * texels
+            draw.rectangle((left, top, left + texels - 1, top + texels - 1), colour)
+            middle = (left + texels // 2, top + texels // 2)
+            draw.text(middle, f"{chr(65 + column)}{row + 1}", (255, 255, 255), font, anchor="mm")
+    return Texture(np.array(picture))
 
 
 def _rgba(pixels: U8) -> U8:

@@ -2,7 +2,8 @@
 
 from lodpipe.io.images import decode_image
 from lodpipe.io.limits import Limits
+from lodpipe.io.pixels import pixels_of
 from lodpipe.io.reading import FORMATS, is_asset, load
 from lodpipe.io.writing import save, save_combined
 
-__all__ = ["FORMATS", "Limits", "decode_image", "is_asset", "load", "save", "save_combined"]
+__all__ = ["FORMATS", "Limits", "decode_image", "is_asset", "load", "pixels_of", "save", "save_combined"]

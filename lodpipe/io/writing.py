@@ -50,7 +50,7 @@ def save(asset: Asset, path: Path, meshes: Sequence[Mesh] | None = None, *, warn
             raise OutputError(f"'{path.suffix}' is not a model format", advice="use glb, gltf, obj, ply, stl or off")
     except LodpipeError as error:
         raise error.at(path.name) from error
-    return _write(path, files)
+    return write_files(path.parent, files)
 
 
 def save_combined(
@@ -75,7 +75,7 @@ def save_combined(
         files = gltf_files(asset, path.with_suffix(".glb"), levels, coverages, warn)
     except LodpipeError as error:
         raise error.at(path.name) from error
-    return _write(path, [(path.name, files[0][1])])
+    return write_files(path.parent, [(path.name, files[0][1])])
 
 
 def _plain_files(asset: Asset, path: Path, parts: list[Placed], warn: Warn) -> list[tuple[str, bytes]]:
@@ -144,15 +144,21 @@ def _slots(tree: Any) -> Iterator[str]:
             yield from _slots(value)
 
 
-def _write(path: Path, files: Sequence[tuple[str, bytes]]) -> list[Path]:
+def write_files(folder: Path, files: Iterable[tuple[str, bytes]]) -> list[Path]:
+    """Write files of the given names and contents into `folder`, which is made if need be; their paths.
+
+    Raises OutputError when that is not possible.
+    """
     written = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"the folder cannot be made ({error.strerror or error})", place=str(folder)) from error
     for name, data in files:
-        target = path.with_name(name)
+        target = folder / name
         try:
             target.write_bytes(data)
         except OSError as error:
-            raise OutputError(
-                f"{name} cannot be written ({error.strerror or error})", place=str(path.parent)
-            ) from error
+            raise OutputError(f"{name} cannot be written ({error.strerror or error})", place=str(folder)) from error
         written.append(target)
     return written

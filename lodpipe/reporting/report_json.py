@@ -20,8 +20,8 @@ def report_data(report: Report) -> dict[str, Any]:
         for name in ("error", "visual", "switch"):
             if level[name] is None:
                 level[f"{name}_reason"] = NOT_MEASURED
-    finite: dict[str, Any] = _finite({"schema_version": SCHEMA_VERSION, **data})
-    return finite
+    checked: dict[str, Any] = finite({"schema_version": SCHEMA_VERSION, **data})
+    return checked
 
 
 def dump_report(report: Report, path: Path) -> None:
@@ -30,15 +30,15 @@ def dump_report(report: Report, path: Path) -> None:
     path.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")  # names that are not Unicode: \\udcxx
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """`value` with null for every number that JSON does not have, and its reason in the key beside it."""
     if isinstance(value, dict):
         result = {}
         for key, item in value.items():
-            result[key] = _finite(item)
+            result[key] = finite(item)
             if isinstance(item, float) and not math.isfinite(item):
                 result[f"{key}_reason"] = f"not a finite number ({item})"
         return result
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -12,6 +12,7 @@ from lodpipe.geometry.camera import Camera
 from lodpipe.geometry.render import (
     DARK,
     LIGHT,
+    Style,
     buffers,
     depth_picture,
     normal_picture,
@@ -57,7 +58,8 @@ def textured(**more):
 
 def picture(asset, pixels=QUARTERS, camera=FRONT, size=16, **options):
     model = Model(asset, textures=Textures({0: pixels}))
-    return render(model, camera, size, size, **{"supersample": 1, **options})
+    style = Style(**{name: options.pop(name) for name in ("mode", "cull", "wireframe") if name in options})
+    return render(model, camera, size, size, style, **{"supersample": 1, **options})
 
 
 def corners(image):
@@ -194,7 +196,7 @@ def test_own_normals_shade():
     with_own, without = (render(model, FRONT, 32, 32, supersample=1) for model in (bulging, plain))
     assert int(with_own[16, 12, 0]) - int(with_own[16, 31, 0]) > 20
     assert np.ptp(without) <= 1
-    shapes = [render(model, FRONT, 32, 32, mode="clay") for model in (bulging, plain)]
+    shapes = [render(model, FRONT, 32, 32, Style(mode="clay")) for model in (bulging, plain)]
     np.testing.assert_array_equal(*shapes)  # clay shows what the triangles say
     assert shapes[0].max() < without.max()
 
@@ -236,7 +238,7 @@ def test_nothing_to_see():
 @pytest.mark.parametrize("supersample", [1, 2, 4])
 def test_wires_follow_the_edges(supersample):
     asset = scene(square(), materials=[flat(1, 1, 1, 1)])
-    wired = picture(asset, size=64, supersample=supersample, wireframe=True)
+    wired = picture(asset, size=64, supersample=supersample, wireframe=1)
     dark = wired[:, :, 0] < 210
     along = np.arange(2, 62)
     assert dark[63 - along, along].all()  # the diagonal, up to the right

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lodpipe.core.material import TextureRef
-from lodpipe.geometry.texture import CLAMP, MIRROR, REPEAT, Texture, Textures, to_linear, to_srgb, uv_matrix
+from lodpipe.geometry.texture import CLAMP, MIRROR, REPEAT, Texture, Textures, chequer, to_linear, to_srgb, uv_matrix
 
 
 def grey(values):
@@ -113,9 +113,37 @@ def test_the_transform_scales_turns_and_shifts():
 
 
 def test_textures_are_made_once_and_when_needed():
-    textures = Textures({3: np.zeros((2, 2, 3), np.uint8), 4: np.zeros((2, 2), np.uint8)})
-    assert textures[3] is textures[3]
-    assert list(textures) == [3, 4]
-    assert textures.get(5) is None
-    with pytest.raises(ValueError, match="uint8"):  # not before it is used
-        textures[4]
+    asked = []
+
+    def pixels(image):
+        asked.append(image)
+        return np.full((2, 2, 3), 128, np.uint8) if image == 3 else None
+
+    textures = Textures(pixels)
+    assert asked == []
+    assert textures.get(3) is textures.get(3)
+    assert textures.get(4) is None
+    assert textures.get(4) is None
+    assert textures.get(None) is None
+    assert asked == [3, 4]
+    middle = np.array([[0.5, 0.5]], np.float32)
+    assert textures.get(3).sample(middle)[0, 0] == pytest.approx(to_linear(np.array(128 / 255)), abs=1e-3)
+    assert textures.get(3, plain=True).sample(middle)[0, 0] == pytest.approx(128 / 255, abs=1e-3)
+
+
+def test_a_huge_image_begins_at_a_smaller_level():
+    pixels = np.random.default_rng(0).integers(0, 255, (64, 96, 3), np.uint8)
+    whole, bounded = Texture(pixels), Texture(pixels, largest=48)
+    assert (bounded.width, bounded.height) == (48, 32)
+    uv = np.random.default_rng(1).random((50, 2)).astype(np.float32)
+    coarse = np.full(50, 2.0, np.float32)
+    np.testing.assert_allclose(bounded.sample(uv), whole.sample(uv, coarse), atol=0.01)
+
+
+def test_the_chequer_tells_directions():
+    """Hue runs along u and lightness along v."""
+    board = chequer()
+    across = board.sample(np.array([[(k + 0.5) / 16 + 1 / 40, 1 / 40 + 0.5 / 16] for k in range(16)], np.float32))
+    assert len(np.unique(across[:, :3].round(3), axis=0)) == 16
+    down = board.sample(np.array([[1 / 40 + 0.5 / 16, (k + 0.5) / 16 + 1 / 40] for k in range(0, 16, 2)], np.float32))
+    assert (np.diff(down[:, :3].sum(axis=1)) > 0).all()
