@@ -14,6 +14,7 @@ export PYTHON
 READY := $(VENV)/ready.stamp
 NATIVE := $(VENV)/native.stamp
 VALIDATOR := $(VENV)/validator.stamp
+BROWSER := $(VENV)/browser.stamp
 SAMPLES := sample_assets/made.stamp
 CXX_SOURCES := $(wildcard lodpipe/kernel/src/*) lodpipe/kernel/CMakeLists.txt
 SITE = $(shell $(PY) -c 'import sysconfig; print(sysconfig.get_path("platlib"))')
@@ -26,12 +27,12 @@ help:  ## this list
 
 demo: $(NATIVE) $(SAMPLES)  ## makes the sample models, then four levels and a report of one of them, in out/demo
 	@$(VENV)/bin/lodpipe run sample_assets/animal.glb -c default -o out/demo --force
-	@echo "demo: look into out/demo/animal (LOD0, LOD1 …, report.json)"
+	@echo "demo: look into out/demo/animal (report.html, LOD0, LOD1 …)"
 
-test: $(NATIVE) $(SAMPLES) $(VALIDATOR)  ## the everyday tests; ARGS='-k name' goes to pytest
+test: $(NATIVE) $(SAMPLES) $(VALIDATOR) $(BROWSER)  ## the everyday tests; ARGS='-k name' goes to pytest
 	@$(PY) -m pytest $(ARGS)
 
-test-all: $(NATIVE) $(SAMPLES) $(VALIDATOR)  ## all tests, the slow ones too (packaging, big models)
+test-all: $(NATIVE) $(SAMPLES) $(VALIDATOR) $(BROWSER)  ## all tests, the slow ones too (packaging, big models)
 	@$(PY) -m pytest -m "slow or not slow" $(ARGS)
 
 lint: $(NATIVE)  ## ruff, mypy (strict), import direction, freshness of the kernel's type stub
@@ -82,7 +83,7 @@ compile = $(VENV)/bin/cmake --build build/dev -- --quiet && \
 
 stub = $(PY) -m nanobind.stubgen -q -m lodpipe.kernel._native -o $(1)
 
-$(READY): pyproject.toml setup/environment.sh
+$(READY): pyproject.toml setup/environment.sh setup/debian.sh
 	@setup/environment.sh $(VENV)
 	@touch $@
 
@@ -105,4 +106,8 @@ $(VALIDATOR): $(READY) $(wildcard tests/io/validator/package.json)
 		echo "setup: installing the glTF validator (npm)"; \
 		npm install --prefix tests/io/validator --no-package-lock --no-audit --no-fund --silent || echo "setup: npm failed; its tests are skipped"; \
 	fi
+	@touch $@
+
+$(BROWSER): $(READY) setup/browser.sh setup/debian.sh
+	@setup/browser.sh
 	@touch $@

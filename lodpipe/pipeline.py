@@ -62,6 +62,7 @@ class Pipeline:
         report.asset, report.input = asset.name, str(asset.path or "")
         report.source = describe(asset)
         report.warnings.extend(asset.warnings)
+        report.config = self.resolved()
         log = log or logging.getLogger("lodpipe")
         files: dict[int, list[Path]] = {}
         cache = Cache()
@@ -94,6 +95,7 @@ class Pipeline:
                 raise StageFailed(asset.name, step.stage.name, error) from error
             finally:
                 part.seconds = time.perf_counter() - begin
+            report.page = context.page or report.page
             progress(index, step.stage.name, 1.0)
             log.info("%s: done in %.2f s", step.stage.name, part.seconds)
         _finish(report, asset, output, files, self.config.budgets)
@@ -154,6 +156,7 @@ def _level(number: int, level: Lod, files: list[Path], output: Path | None) -> L
         files=[path.as_posix() for path in files],
         bytes=_bytes(output, files),
         switch=dataclasses.asdict(level.switch) if level.switch else None,
+        gpu=dataclasses.asdict(level.gpu) if level.gpu else None,
     )
     if level.error:
         part.error = {"unit": "percent_of_diagonal", **dataclasses.asdict(level.error)}

@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict
 from lodpipe.core.asset import Asset, Target
 from lodpipe.core.cache import Cache
 from lodpipe.core.errors import Cancelled
+from lodpipe.core.page import Page
 from lodpipe.core.report import Measurement
 
 
@@ -57,6 +58,8 @@ class Context:
     warnings: list[str] = field(default_factory=list)
     files: dict[int, list[Path]] = field(default_factory=dict)
     """Files written for each level, relative to `output`; key −1: files of the asset as a whole."""
+    page: Page | None = None
+    """Material of report.html, if this stage has made it."""
 
     @property
     def rng(self) -> np.random.Generator:

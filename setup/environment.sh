@@ -6,7 +6,7 @@ set -eu
 venv=${1:?usage: setup/environment.sh FOLDER}
 cd "$(dirname "$0")/.."
 
-say() { printf 'setup: %s\n' "$*"; }
+. setup/debian.sh
 stop() {
     printf 'setup: %s\n' "$*" >&2
     exit 1
@@ -43,24 +43,7 @@ libraries=${libraries# }
 needed=${needed# }
 
 if [ -n "$needed$libraries" ]; then
-    packages=$(echo $needed $libraries)
-    if command -v apt-get >/dev/null && [ "$(id -u)" = 0 ]; then
-        root=env
-    elif command -v apt-get >/dev/null && sudo -n true 2>/dev/null; then
-        root="sudo -n env"
-    else
-        root=
-    fi
-    if [ -n "$root" ]; then
-        say "installing Debian packages: $packages"
-        apt="$root DEBIAN_FRONTEND=noninteractive apt-get -qq -o Dpkg::Use-Pty=0"
-        # The lists may be absent or old (a fresh container), in which case the first try fails.
-        $apt install -y --no-install-recommends $packages >/dev/null 2>&1 ||
-            { $apt update >/dev/null && $apt install -y --no-install-recommends $packages >/dev/null; } ||
-            say "apt-get failed; install by hand: $packages"
-    else
-        say "system packages are missing; install them: sudo apt-get install -y $packages"
-    fi
+    debian_install $needed $libraries
     "$python" -c 'import ensurepip' 2>/dev/null || stop "Python $version cannot make an environment without python$version-venv"
     [ -e "$header" ] || stop "the kernel cannot be built without Python's headers (python$version-dev)"
 fi

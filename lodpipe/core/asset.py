@@ -108,6 +108,15 @@ class Switch:
     distance: float
 
 
+@dataclass(frozen=True)
+class GpuSize:
+    """Bytes on a graphics card: vertex buffers, index buffers, and the textures with all their mip levels."""
+
+    vertex_bytes: int
+    index_bytes: int
+    texture_bytes: int
+
+
 @dataclass(frozen=True, eq=False)
 class Lod:
     """One level: a mesh for each of `Asset.meshes`, what it was asked for, what stopped it, how far off it is."""
@@ -123,6 +132,8 @@ class Lod:
     """The same, of what is seen."""
     switch: Switch | None = None
     """None until a stage has settled it."""
+    gpu: GpuSize | None = None
+    """None until a stage has counted it."""
     relaxed: bool = False
     """Whether holes or handles had to be given up to reach the target."""
     own: MaterialSet | None = None

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from lodpipe.core.page import Page
+
 SCHEMA_VERSION = 1
 
 
@@ -42,6 +44,7 @@ class LevelReport:
     error: dict[str, Any] | None = None
     visual: dict[str, Any] | None = None
     switch: dict[str, Any] | None = None
+    gpu: dict[str, Any] | None = None
 
 
 @dataclass
@@ -66,3 +69,11 @@ class Report:
     seconds: float = 0.0
     peak_memory_mb: float | None = None
     versions: dict[str, str] = field(default_factory=dict)
+    command: str = ""
+    """What does the same again, for a shell; empty if a program asked for it."""
+    config: dict[str, Any] = field(default_factory=dict, repr=False)
+    """The resolved configuration."""
+    images: list[str] = field(default_factory=list)
+    """Pictures of the levels, relative to its folder."""
+    page: Page | None = field(default=None, repr=False)
+    """Material of report.html, which report.json leaves out; None without the stage `report`."""

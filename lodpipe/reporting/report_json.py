@@ -15,9 +15,10 @@ NOT_MEASURED = "not measured: the chain has no stage that does"
 
 def report_data(report: Report) -> dict[str, Any]:
     """The report as plain data; docs/output.md lists the fields."""
-    data = dataclasses.asdict(report)
+    data = dataclasses.asdict(dataclasses.replace(report, page=None))
+    del data["page"]
     for level in data["lods"]:
-        for name in ("error", "visual", "switch"):
+        for name in ("error", "visual", "switch", "gpu"):
             if level[name] is None:
                 level[f"{name}_reason"] = NOT_MEASURED
     checked: dict[str, Any] = finite({"schema_version": SCHEMA_VERSION, **data})

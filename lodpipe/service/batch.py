@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -79,6 +81,7 @@ def run(
     were set. Raises ConfigError; what is wrong with an asset is an outcome, not an exception.
     """
     listener = listener or Silent()
+    settings, plugins = settings if isinstance(settings, Mapping) else tuple(settings), tuple(plugins)
     loaded = load_chain(config, settings, plugins)
     recipe = Recipe.loaded(loaded)
     batch = Batch()
@@ -104,7 +107,8 @@ def run(
             place.forget_failure(asset.place)
             add(same)
         else:
-            jobs.append(job_of(asset, root, recipe, max(1, min(workers, len(found)))))
+            job = job_of(asset, root, recipe, max(1, min(workers, len(found))))
+            jobs.append(dataclasses.replace(job, command=_command(asset, root, config, settings, plugins)))
     for outcome in _done(jobs, workers, len(found) > 1, listener.progress):
         add(outcome)
     return batch
@@ -145,6 +149,16 @@ def threads_for(recipe: Recipe, workers: int) -> int:
     """Most threads for one asset when `workers` go side by side; 0 for all cores."""
     shared = max(1, (os.cpu_count() or 1) // workers) if workers > 1 else 0
     return int(recipe.config["threads"]) or shared
+
+
+def _command(asset: Found, root: Path, config: Config, settings: Settings, plugins: Iterable[str | Path]) -> str:
+    """A shell's line that does the same with `asset` again; empty for a configuration that is not in a file."""
+    if isinstance(config, Mapping) or isinstance(settings, Mapping):
+        return ""
+    words = ["lodpipe", "run", str(asset.path), "-c", str(config), "-o", str(root)]
+    words += [word for text in settings for word in ("--set", text)]
+    words += [word for folder in plugins for word in ("--plugins", str(folder))]
+    return shlex.join([*words, "--force"])
 
 
 def _published(asset: Found, root: Path, recipe: Recipe) -> Outcome | None:

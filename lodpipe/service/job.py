@@ -22,6 +22,7 @@ from lodpipe.core.errors import LimitError, LodpipeError
 from lodpipe.core.report import SCHEMA_VERSION, Report
 from lodpipe.pipeline import Pipeline, StageFailed
 from lodpipe.plugins import find_stages
+from lodpipe.reporting.page import write_page
 from lodpipe.reporting.report_json import dump_report, report_data
 from lodpipe.service import manifest
 from lodpipe.service.memory import memory_limit, peak_memory_mb
@@ -56,6 +57,8 @@ class Job:
     """The resolved configuration."""
     plugins: tuple[str, ...] = ()
     threads: int = 0
+    command: str = ""
+    """What a shell needs to do the same again; for the report."""
     read_from: str = ""
     """A copy of the input that is read in its place, while messages tell of `path`."""
     records: tuple[str, ...] = (INPUT, AGAIN, PASSING)
@@ -118,7 +121,7 @@ def process(job: Job, progress: JobProgress = lambda index, name, share: None) -
         progress(index, name, share)
 
     output = Output(Path(job.output))
-    report = Report(job.name, input=job.path)
+    report = Report(job.name, input=job.path, command=job.command)
     with output.workspace() as workspace:
         built = workspace / "built"
         built.mkdir()
@@ -273,6 +276,7 @@ def _build(
     handler.close()
     report.seconds = time.monotonic() - begin
     report.peak_memory_mb = peak_memory_mb()
+    write_page(report, built)
     dump_report(report, built / REPORT)
     _check_size(built, pipeline.config.limits.output_bytes)
     manifest.write(built, read, Recipe.of(pipeline), str(job.place), report.outcome, report.versions)

@@ -12,7 +12,7 @@ from lodpipe.core.asset import Asset
 from lodpipe.service.recipe import Recipe
 
 NAME = "manifest.json"
-VERSION = 1
+VERSION = 2
 """Of manifest and output layout; part of the fingerprint."""
 
 
