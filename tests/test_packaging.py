@@ -90,7 +90,7 @@ READ_ONLY = {"dash-model-viewer"}
 
 def test_every_imported_package_is_a_declared_dependency():
     """A package that only happens to come along with another one may be gone tomorrow."""
-    names = {"yaml": "pyyaml", "PIL": "pillow", "DracoPy": "dracopy"}
+    names = {"yaml": "pyyaml", "PIL": "pillow", "DracoPy": "dracopy", "flip_evaluator": "flip-evaluator"}
     declared = {re.split(r"[<>=; ]", line)[0].removesuffix("-cpu") for line in PROJECT["dependencies"]}
     used = {item.target.split(".")[0] for name, path in modules(REPO).items() for item in imports(path, name)}
     foreign = {names.get(name, name) for name in used - sys.stdlib_module_names - {"lodpipe"}}

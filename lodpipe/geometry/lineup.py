@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import os
 from collections.abc import Callable, Mapping
@@ -67,9 +68,9 @@ def take(
         seen = dict(zip(jobs, pool.map(shoot, jobs), strict=True))
         for view, (name, _) in enumerate(VIEWS[:views]):
             page.views.append(name)
-            shots = [(seen[view, level], level) for level in models]
-            made = pool.map(lambda shot, view=view, name=name: _pair(asset, seen[view, 0], *shot, view, name), shots)
-            page.pictures += [picture for pair in made for picture in pair]
+            pair = functools.partial(_pair, asset, seen[view, 0], view, name)
+            for pictures in pool.map(pair, models, [seen[view, level] for level in models]):
+                page.pictures += pictures
     first, wires = ({level: seen[view, level] for level in models} for view in (0, -1))
     page.pictures.append(_sheet(asset, first, wires))
     small = webp(halved(first[0]))
@@ -98,7 +99,7 @@ def halved(picture: U8) -> U8:
     return np.array(image)
 
 
-def _pair(asset: Asset, source: U8, shot: U8, level: int, view: int, name: str) -> list[Picture]:
+def _pair(asset: Asset, source: U8, view: int, name: str, level: int, shot: U8) -> list[Picture]:
     title = f"{asset.name}, level {level}, {name}"
     found = [Picture(f"LOD{level}_{name}.webp", "shaded", title, webp(shot), SIZE, SIZE, level, view)]
     if level:

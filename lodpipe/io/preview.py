@@ -136,7 +136,7 @@ def _round(values: F32 | F64, steps: float) -> F32:
 
 
 def shrunk(image: Image, pixels: NDArray[np.uint8], size: int) -> Image:
-    """`image`, whose pixels are given, with at most `size` pixels along its longer side, as JPEG, or as WebP if it is transparent."""
+    """`image`, whose pixels are given, at most `size` pixels wide and high: a JPEG, or a WebP if it is transparent."""
     import io
 
     import PIL.Image

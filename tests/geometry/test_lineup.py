@@ -14,6 +14,7 @@ from lodpipe.geometry import lineup
 from lodpipe.geometry.surface import Model
 from meshes import sphere
 
+
 def balls(monkeypatch, size: int = 48) -> tuple[Asset, dict[int, Model]]:
     monkeypatch.setattr(lineup, "SIZE", size)
     monkeypatch.setattr(lineup, "SHEET", size // 2)
