@@ -149,12 +149,20 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--json", action="store_true", help="as JSON")
     compare.add_argument("-o", "--output", metavar="DIR", help="write pairs of pictures and difference maps")
     compare.set_defaults(command=_compare)
+
+    skeleton = commands.add_parser("skeleton", help="find a model's skeleton and segments", description=_SKELETON)
+    skeleton.add_argument("asset", metavar="ASSET")
+    skeleton.add_argument("--method", choices=("geodesic",), default="geodesic", help="default: %(default)s")
+    skeleton.add_argument("--json", action="store_true", help="as JSON")
+    skeleton.add_argument("-o", "--output", metavar="OUT.glb", help="write the skeleton and coloured segments")
+    skeleton.set_defaults(command=_skeleton)
     return parser
 
 
 _COMPARE = """How different two models look and are: pictures of both from many directions, and the distance between the
 surfaces. docs/measuring.md defines the figures."""
-
+_SKELETON = """Find the curve skeleton of a model and the segments along it: ends, joints, loops, for each connected
+component. Places are those of the scene; seconds do not count loading."""
 _RUN = """Lead assets through the stages of a configuration. OUT/<relative folder>/<asset>/ gets a folder for each
 level, report.json and manifest.json; what fails leaves its record in OUT/.failed/."""
 
@@ -373,6 +381,27 @@ def _compare(options: argparse.Namespace) -> int:
         figures["files"] = [str(path) for path in write_files(Path(options.output), images)]
     data = comparison_data(named, figures, warnings)
     print(dump_json(data) if options.json else "\n".join(comparison_text(data, Style(sys.stdout))))
+    return 0
+
+
+def _skeleton(options: argparse.Namespace) -> int:
+    import time
+
+    from lodpipe import io
+    from lodpipe.geometry.segment import segment
+    from lodpipe.geometry.skeleton import SkeletonOptions, load_libraries, skeleton
+    from lodpipe.geometry.skeleton_view import skeleton_model
+    from lodpipe.reporting.skeleton import skeleton_data, skeleton_text
+
+    asset = io.load(Path(options.asset))
+    load_libraries()
+    begin = time.perf_counter()
+    found = skeleton(asset, SkeletonOptions(method=options.method))
+    segments = segment(asset, found)
+    data = skeleton_data(found, segments, time.perf_counter() - begin)
+    if options.output:
+        io.save(skeleton_model(asset, found, segments), Path(options.output))
+    print(json.dumps(data, indent=1) if options.json else "\n".join(skeleton_text(data)))
     return 0
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lodpipe.core.material import Image, Material, MaterialSet, renumbered
 from lodpipe.core.mesh import F64, Mesh
+from lodpipe.core.skeleton import Importance, Segments, Skeleton
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +169,10 @@ class Asset:
     document: Mapping[str, Any] = field(default_factory=dict)
     accessors: tuple[Accessor, ...] = ()
     lods: tuple[Lod, ...] = ()
+    skeleton: Skeleton | None = None
+    """None until a stage has made it; the same holds for the next two. All three speak of `meshes`."""
+    segments: Segments | None = None
+    importance: Importance | None = None
     path: Path | None = None
     """The file that it was read from."""
     members: tuple[Path, ...] = ()
@@ -242,7 +247,7 @@ class Asset:
         return found
 
     def fingerprint(self) -> str:
-        """Hex digest of the content (meshes, materials, images, document), for caches and tests."""
+        """Hex digest of the content (meshes, materials, images, document, skeleton …), for caches and tests."""
         digest = hashlib.sha256()
         for mesh in self.meshes:
             digest.update(mesh.fingerprint().encode())
@@ -254,6 +259,8 @@ class Asset:
             digest.update(image.data + repr((image.name, image.uri, image.problem)).encode())
         for accessor in self.accessors:
             digest.update(np.ascontiguousarray(accessor.values).tobytes())
+        for shape in (self.skeleton, self.segments, self.importance):
+            digest.update(shape.fingerprint().encode() if shape else b"-")
         tree = [dict(self.document), [dict(m.gltf) for m in self.materials], self.name]
         digest.update(json.dumps(tree, sort_keys=True, default=str).encode())
         return digest.hexdigest()

@@ -17,7 +17,7 @@ from lodpipe.core.asset import Asset, Lod, Target
 from lodpipe.core.errors import Cancelled, InvalidMesh
 from lodpipe.core.mesh import F32, F64, I32, Mesh
 from lodpipe.geometry.distance import distance_between
-from lodpipe.geometry.flatten import flatten
+from lodpipe.geometry.flatten import flatten, largest_placement
 from lodpipe.geometry.progressive import rebuild
 from lodpipe.geometry.shading import with_normals
 from lodpipe.kernel import QuadricOptions
@@ -196,7 +196,7 @@ class _Joined:
         places: dict[int, list[F64]] = {}
         for index, matrix in asset.instances():
             places.setdefault(index, []).append(matrix)
-        matrices = [_largest(places.get(i, [])) for i in used]
+        matrices = [largest_placement(places.get(i, [])) for i in used]
         names = list(dict.fromkeys(name for i in used for name in asset.meshes[i].attributes))
         widths = [max(_width(asset.meshes[i], name) for i in used) for name in names]
         positions, faces, wedges, values, importance = [], [], [], [], []
@@ -351,14 +351,6 @@ class _Joined:
             else:
                 low = middle
         return best or Lod(meshes=asset.meshes, target=goal, stop_reason="error")
-
-
-def _largest(matrices: list[F64]) -> F64:
-    """The placement at which a mesh is shown largest; identity for a mesh that is not placed, or has no volume."""
-    sizes = [abs(float(np.linalg.det(m[:3, :3]))) for m in matrices]
-    if not sizes or not max(sizes) > 0 or not np.isfinite(max(sizes)):
-        return np.eye(4)
-    return matrices[int(np.argmax(sizes))]
 
 
 def _width(mesh: Mesh, name: str) -> int:

@@ -111,10 +111,34 @@ def flatten(asset: Asset, meshes: Sequence[Mesh] | None = None) -> Soup:
     given = asset.meshes if meshes is None else tuple(meshes)
     if len(given) != len(asset.meshes):
         raise InvalidMesh(f"a level has {len(given)} meshes where the asset has {len(asset.meshes)}")
+    return _soup(given, asset.instances())
+
+
+def flatten_once(asset: Asset) -> Soup:
+    """Every mesh of `asset` that has triangles once, in the placement at which the scene shows it largest.
+
+    A mesh that is not placed, or only flat, lies where its own numbers say.
+    """
+    places: dict[int, list[F64]] = {index: [] for index, mesh in enumerate(asset.meshes) if len(mesh.faces)}
+    for index, matrix in asset.instances():
+        if index in places:
+            places[index].append(matrix)
+    return _soup(asset.meshes, [(index, largest_placement(matrices)) for index, matrices in places.items()])
+
+
+def largest_placement(matrices: Sequence[F64]) -> F64:
+    """The one of 4×4 `matrices` that magnifies most; identity if there is none, or none with a volume."""
+    sizes = [abs(float(np.linalg.det(m[:3, :3]))) for m in matrices]
+    if not sizes or not max(sizes) > 0 or not np.isfinite(max(sizes)):
+        return np.eye(4)
+    return matrices[int(np.argmax(sizes))]
+
+
+def _soup(meshes: Sequence[Mesh], places: Sequence[tuple[int, F64]]) -> Soup:
     positions, faces, materials, parts = [], [], [], []
     first_position = first_face = 0
-    for index, matrix in asset.instances():
-        mesh = given[index]
+    for index, matrix in places:
+        mesh = meshes[index]
         part = Part(mesh, matrix, first_face)
         corners = mesh.faces[:, ::-1] if part.mirrored else mesh.faces
         positions.append(_placed(mesh.positions, matrix))

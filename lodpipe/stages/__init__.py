@@ -4,5 +4,7 @@ from lodpipe.stage import AnyStage
 from lodpipe.stages.decimate import decimate
 from lodpipe.stages.export import export
 from lodpipe.stages.report import report
+from lodpipe.stages.segment import segment
+from lodpipe.stages.skeleton import skeleton
 
-BUILTIN: dict[str, AnyStage] = {stage.name: stage for stage in (decimate, report, export)}
+BUILTIN: dict[str, AnyStage] = {stage.name: stage for stage in (skeleton, segment, decimate, report, export)}
