@@ -275,11 +275,17 @@ class Net:
                 self.place[n] = place
 
     def bend(self, rays: Rays, vertex: I32) -> None:
-        """Give links that leave the surface a node where they do, moved inside."""
+        """Give links that leave the surface a node where they do, moved inside.
+
+        A node for which no place inside was found is left, and its links with it: so are those of flat components.
+        """
+        places = np.array([self.place[n] for n in self.alive]).reshape(-1, 3)
+        component = np.array([self.component[n] for n in self.alive], np.int32)
+        stuck = {n for n, ok in zip(self.alive, rays.inside(places, component), strict=True) if not ok}
         for _ in range(BEND_ROUNDS):
-            new = []
+            new: list[int] = []
             for (a, b), t, inside in self._sampled(rays):
-                if inside.all():
+                if inside.all() or a in stuck or b in stuck:
                     continue
                 middle = float(t[np.flatnonzero(~inside)[(~inside).sum() // 2]])
                 place = self.place[a] + middle * (self.place[b] - self.place[a])
@@ -292,6 +298,9 @@ class Net:
             if not new:
                 return
             self.centre(new, rays, vertex)
+            places = np.array([self.place[n] for n in new])
+            ok = rays.inside(places, np.array([self.component[n] for n in new], np.int32))
+            stuck |= {n for n, inner in zip(new, ok, strict=True) if not inner}
 
     def inside_shares(self, rays: Rays, count: int) -> list[float | None]:
         """For each of `count` components the share of the links' length that runs inside; None without length."""

@@ -47,12 +47,16 @@ class Rays:
         """(N, K) distance to the first wall from each of N points along each of (N, K, 3) unit directions, or inf."""
         origins = np.repeat(points, directions.shape[1], axis=0).astype(np.float32)
         along = directions.reshape(-1, 3).astype(np.float32)
-        if self.surface.component_count == 1:
-            return np.asarray(self._scene.cast(origins, along).distance.reshape(len(points), -1), np.float64)
-        found = self._scene.crossings(origins, along)
-        own = self._owner[found.faces] == component[found.rays // directions.shape[1]]
-        nearest = np.full(len(origins), np.inf)
-        np.minimum.at(nearest, found.rays[own], found.distance[own])
+        first = self._scene.cast(origins, along)
+        nearest = first.distance.astype(np.float64)
+        owner = component[np.arange(len(origins)) // directions.shape[1]]
+        strange = np.flatnonzero((first.faces >= 0) & (self._owner[first.faces] != owner))
+        if len(strange):  # another component's wall is in the way
+            nearest[strange] = np.inf
+            found = self._scene.crossings(origins[strange], along[strange])
+            rays = strange[found.rays]
+            own = self._owner[found.faces] == owner[rays]
+            np.minimum.at(nearest, rays[own], found.distance[own])
         return nearest.reshape(len(points), -1)
 
     def inside(self, points: F64, component: I32) -> Bool:
