@@ -20,6 +20,7 @@ from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.flatten import flatten, largest_placement
 from lodpipe.geometry.progressive import rebuild
 from lodpipe.geometry.shading import with_normals
+from lodpipe.geometry.visibility import vertex_visibility
 from lodpipe.kernel import QuadricOptions
 
 Metric = Literal["quadric", "visual"]
@@ -46,6 +47,10 @@ class AttributeWeights:
 
 VISUAL_WEIGHTS = AttributeWeights(uv=0.0)
 """The visual metric's: where a texture slips is left to the fit."""
+
+
+HIDDEN = 0.05
+"""What is never seen from outside counts so much in the visual metric."""
 
 
 @overload
@@ -93,6 +98,8 @@ def decimate_asset(
         options, weights = _steered(options, weights)
         asset = replace(asset, meshes=tuple(m if m.keep_reason else with_normals(m) for m in asset.meshes))
     joined = _Joined.of(asset)
+    if metric == "visual":
+        joined = joined.seen(vertex_visibility(asset, threads))
     fixed = source.triangles - len(joined.faces)
     counts = [_count(goal, source.triangles) for goal in targets]
     wanted = sorted({max(c - fixed, 0) for c in counts if c is not None}, reverse=True)
@@ -263,12 +270,17 @@ class _Joined:
             out += [worth] * width
         return self.values, out
 
+    def seen(self, shares: list[F32]) -> _Joined:
+        """The same with vertices weighted by the share of them that is seen from outside."""
+        share = np.concatenate([shares[i] for i in self.used]) if self.used else np.empty(0, np.float32)
+        weight = (HIDDEN + (1 - HIDDEN) * share).astype(np.float32)
+        return replace(self, importance=weight if self.importance is None else weight * self.importance)
+
     def fit(self, level: kernel.Level, threads: int, cancelled: Callable[[], bool]) -> kernel.Level:
         """The level with positions and values that fit the source best."""
         count = len(level.faces)
         if not count:
             return level
-        kinds = [name for name, width in zip(self.names, self.widths, strict=True) for _ in range(width)]
         return kernel.fit(
             self.positions,
             self.faces,
@@ -276,8 +288,8 @@ class _Joined:
             self.values,
             level,
             samples=max(min(24 * count, 1_000_000), 6 * count, 2000),
-            tied=[not name.startswith(("TEXCOORD_", "TANGENT")) for name in kinds],
             chart_column=self.chart_column,
+            importance=self.importance,
             threads=threads,
             go_on=lambda: not cancelled(),
         )

@@ -181,7 +181,7 @@ def fit(
     moves: int = 2,
     fit_values: bool = True,
     chart_column: int | None = None,
-    tied: Sequence[bool] = (),
+    importance: F32 | None = None,
     threads: int = 0,
     go_on: Callable[[], bool] | None = None,
 ) -> Level:
@@ -192,16 +192,13 @@ def fit(
     moves         rounds in which positions move; 0: they stay
     fit_values    whether values are fitted, too; if not they stay
     chart_column  column of `values` that holds u, with v after it: at the border of a chart they stay near it
-    tied          K bool: in these columns wedges of one position stay equal where the input's were. Left out: none
+    importance    (V,) float32 > 0, multiplies the area round the vertex
     go_on         asked between the steps; False stops, with what there is by then
 
     Positions minimise the squared distance of the samples across the surface (and, with a small weight, along it),
     values the squared difference at the samples; see docs/decimation.md. No face turns by more than 78°. The result
     does not depend on `threads` (0: all cores).
     """
-    columns = np.asarray(tied, np.uint8) if len(tied) else np.zeros(values.shape[1], np.uint8)
-    if columns.shape != (values.shape[1],):
-        raise InvalidMesh(f"there are {values.shape[1]} attribute columns and {columns.size} flags")
     if samples < 1 or moves < 0 or threads < 0:
         raise InvalidMesh("a fit needs at least one sample, and numbers that are not negative")
     carried = values.shape[1] > 0  # without values the kernel does not follow wedges
@@ -218,8 +215,8 @@ def fit(
         level.faces,
         level.wedges if carried else level.faces,
         level.values,
+        _column(importance, np.float32, len(positions), "importance"),
         level.wedge_to if carried else level.vertex_to,
-        columns,
         go_on or (lambda: True),
         native,
     )

@@ -16,6 +16,7 @@ from lodpipe.kernel import Level
 
 PRIOR = 0.02
 TANGENTIAL = 0.05
+EXACT = 1e-4
 
 
 def samples(positions: F64, faces: I32, count: int) -> tuple[Any, F64, float]:
@@ -94,6 +95,13 @@ def fit(positions: F64, faces: I32, wedges: I32, values: F32, level: Level, coun
     for w, m in zip(level.wedges, _masses(at, level.faces), strict=True):
         mass[np.ix_(w, w)] += PRIOR * m
     fitted = level.values + np.linalg.solve(mass, pull)
+    squares = np.zeros((2, *fitted.shape))  # of what is off round each wedge, before and after
+    for n in np.flatnonzero(hit >= 0):
+        w, wanted = level.wedges[hit[n]], a[n] @ values[wedges[face[n]]].astype(float)
+        for square, shown in zip(squares, (level.values, fitted), strict=True):
+            square[w] += share * (wanted - b[n] @ shown[w]) ** 2
+    pays = (squares[1] < squares[0]) & (squares[0] >= EXACT**2 * share)
+    fitted = np.where(pays, fitted, level.values)
     return replace(level, positions=at / scale + centre, values=fitted.astype(np.float32))
 
 

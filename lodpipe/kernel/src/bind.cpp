@@ -183,13 +183,13 @@ lodpipe::FitMesh fit_mesh(const Table<double>& positions, const Table<int32_t>& 
 
 nb::dict fit(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedges, Table<float> values,
              Table<double> level_positions, Table<int32_t> level_faces, Table<int32_t> level_wedges,
-             Table<float> level_values, Column<int32_t> wedge_to, Column<uint8_t> tied,
-             std::function<bool()> go_on, const lodpipe::FitOptions& options) {
+             Table<float> level_values, std::optional<Column<float>> importance,
+             Column<int32_t> wedge_to, std::function<bool()> go_on, const lodpipe::FitOptions& options) {
   const lodpipe::FitInput in{fit_mesh(positions, faces, wedges, values),
                              fit_mesh(level_positions, level_faces, level_wedges, level_values),
                              static_cast<int>(values.shape(1)),
-                             wedge_to.data(),
-                             tied.data()};
+                             importance ? importance->data() : nullptr,
+                             wedge_to.data()};
   lodpipe::FitResult result;
   {
     nb::gil_scoped_release release;
@@ -262,5 +262,5 @@ NB_MODULE(_native, m) {
         "reach"_a, "threads"_a);
   m.def("fit", &fit, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(), "values"_a.noconvert(),
         "level_positions"_a.noconvert(), "level_faces"_a.noconvert(), "level_wedges"_a.noconvert(),
-        "level_values"_a.noconvert(), "wedge_to"_a.noconvert(), "tied"_a.noconvert(), "go_on"_a, "options"_a);
+        "level_values"_a.noconvert(), "importance"_a.noconvert().none(), "wedge_to"_a.noconvert(), "go_on"_a, "options"_a);
 }

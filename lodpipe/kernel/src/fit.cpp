@@ -20,12 +20,14 @@ constexpr double kEnough = 1e-8;     // squared residual, relative
 constexpr float kPrior = 0.02f;      // what the level says of itself counts like so large a share of the samples
 constexpr float kTangential = 0.05f;  // a sample holds its place along the surface so much less than across it
 constexpr float kGutter = 4.0f / 1024;  // UV units beyond a chart's border that textures are expected to be padded by
-constexpr float kEqual = 1e-3f;      // difference up to which two wedges of the original have the same value
+constexpr float kExact = 1e-4f;      // root mean square misfit of a value below which nothing is to be gained
+constexpr float kNear = 2e-6f;       // the same of a vertex, in diagonals
 constexpr int32_t kNone = -1;
 
 struct Hit {
   int32_t face = kNone;     // of the level
   float b1 = 0, b2 = 0;     // barycentric there
+  float distance2 = 0;      // squared, to there
   int32_t source = kNone;   // face of the original
   float a1 = 0, a2 = 0;
 };
@@ -75,14 +77,9 @@ class Fit {
     FitResult out;
     out.moved.assign(in_.level.vertex_count, 0);
     values_.assign(in_.level.values, in_.level.values + static_cast<size_t>(in_.level.wedge_count) * in_.columns);
-    for (int i = 0; i < options_.moves && go_on_(); ++i) {
-      carry();
-      move();
-    }
-    if (options_.fit_values && in_.columns && go_on_()) {
-      carry();
-      fit_values();
-    }
+    carry();
+    for (int i = 0; i < options_.moves && go_on_(); ++i) move_where_it_pays();
+    if (options_.fit_values && in_.columns && go_on_()) fit_values();
     out.positions.assign(in_.level.positions, in_.level.positions + 3 * static_cast<size_t>(in_.level.vertex_count));
     for (int v = 0; v < in_.level.vertex_count; ++v) {
       const Vec3 d = at_[v] - start_[v];
@@ -142,7 +139,9 @@ class Fit {
     std::vector<double> sum(static_cast<size_t>(count) + 1, 0);
     for (int f = 0; f < count; ++f) {
       const int32_t* v = in_.original.faces + 3 * static_cast<int64_t>(f);
-      sum[f + 1] = sum[f] + length(cross(source_[v[1]] - source_[v[0]], source_[v[2]] - source_[v[0]])) / 2;
+      const float* w = in_.importance;
+      const float area = length(cross(source_[v[1]] - source_[v[0]], source_[v[2]] - source_[v[0]])) / 2;
+      sum[f + 1] = sum[f] + (w ? area * (w[v[0]] + w[v[1]] + w[v[2]]) / 3 : area);
     }
     if (!(sum[count] > 0) || options_.samples < 1) return;
     hits_.resize(options_.samples);
@@ -184,7 +183,7 @@ class Fit {
         const Place q = closest(p, at_[u[0]], at_[u[1]], at_[u[2]]);
         if (q.distance2 < best && dot(normal_of_level(f), n) > 0) {
           best = q.distance2, nearer = true;
-          hit.face = f, hit.b1 = q.b1, hit.b2 = q.b2;
+          hit.face = f, hit.b1 = q.b1, hit.b2 = q.b2, hit.distance2 = q.distance2;
         }
       }
       return nearer;
@@ -219,6 +218,29 @@ class Fit {
     return {a[0] * v.x + a[1] * v.y + a[2] * v.z, a[1] * v.x + a[3] * v.y + a[4] * v.z, a[2] * v.x + a[4] * v.y + a[5] * v.z};
   }
   static constexpr int kPair[3][3] = {{0, 1, 2}, {1, 3, 4}, {2, 4, 5}};
+
+  // A vertex goes back if the samples round it came no nearer, or had been on the surface before.
+  void move_where_it_pays() {
+    const std::vector<Vec3> before = at_;
+    const std::vector<Hit> hits = hits_;
+    move();
+    carry();
+    std::vector<double> was(at_.size(), 0), is(at_.size(), 0), count(at_.size(), 0);
+    for (size_t i = 0; i < hits_.size(); ++i) {
+      if (hits[i].face == kNone || hits_[i].face == kNone) continue;
+      for (int k = 0; k < 3; ++k) {
+        const int32_t v = in_.level.faces[3 * static_cast<int64_t>(hits[i].face) + k];
+        was[v] += hits[i].distance2, is[v] += hits_[i].distance2, ++count[v];
+      }
+    }
+    bool any = false;
+    for (size_t v = 0; v < at_.size(); ++v) {
+      if (is[v] < was[v] && was[v] > kNear * kNear * count[v]) continue;
+      at_[v] = before[v];
+      any = true;
+    }
+    if (any) carry();
+  }
 
   // min Σ w ‖x − Σ b (p + d)‖² in the metric n nᵀ + kTangential I, over the vertices' steps d.
   void move() {
@@ -346,71 +368,37 @@ class Fit {
 
   // ---------------------------------------------------------------- values
 
-  // min Σ w (value at the sample − Σ b value of the wedge)², each column for itself. The wedges of a vertex keep
-  // texture coordinates of their own; in the other columns those that were equal in the original stay equal.
+  // min Σ w (value at the sample − Σ b value of the wedge)², each column for itself.
   void fit_values() {
-    std::vector<int> free, tied;
-    for (int c = 0; c < in_.columns; ++c) (in_.tied[c] ? tied : free).push_back(c);
-    const int64_t corners = 3 * static_cast<int64_t>(in_.level.face_count);
-    std::vector<int32_t> unknown(in_.level.wedges, in_.level.wedges + corners);
-    if (!free.empty()) solve(free, unknown, in_.level.wedge_count);
+    const std::vector<float> before = values_;
+    const std::vector<float> off = misfit();
+    solve();
     if (options_.chart_column >= 0) keep_in_charts();
-    if (tied.empty()) return;
-    const std::vector<int32_t> group = tie(tied);
-    for (int32_t& u : unknown) u = group[u];
-    std::vector<float> sum(in_.level.wedge_count), count(in_.level.wedge_count, 0);
-    for (const int32_t g : group) ++count[g];
-    for (const int c : tied) {
-      std::fill(sum.begin(), sum.end(), 0.0f);
-      for (int w = 0; w < in_.level.wedge_count; ++w) sum[group[w]] += value(w, c);
-      for (int w = 0; w < in_.level.wedge_count; ++w)
-        if (count[group[w]] > 1) value(w, c) = sum[group[w]] / count[group[w]];
+    const std::vector<float> now = misfit();
+    for (size_t i = 0; i < values_.size(); ++i)
+      if (!(now[i] < off[i]) || off[i] < kExact * kExact * share_) values_[i] = before[i];
+  }
+
+  // Σ w (value at the sample − Σ b value)² over the samples round each wedge, by columns.
+  std::vector<float> misfit() {
+    std::vector<float> sum(values_.size(), 0.0f);
+    for (const Hit& hit : hits_) {
+      if (hit.face == kNone) continue;
+      const int32_t* w = in_.original.wedges + 3 * static_cast<int64_t>(hit.source);
+      const int32_t* u = in_.level.wedges + 3 * static_cast<int64_t>(hit.face);
+      const float b[3] = {1 - hit.b1 - hit.b2, hit.b1, hit.b2}, a[3] = {1 - hit.a1 - hit.a2, hit.a1, hit.a2};
+      for (int c = 0; c < in_.columns; ++c) {
+        float off = 0;
+        for (int k = 0; k < 3; ++k) off += a[k] * original_value(w[k], c) - b[k] * value(u[k], c);
+        for (int k = 0; k < 3; ++k) sum[static_cast<size_t>(u[k]) * in_.columns + c] += share_ * off * off;
+      }
     }
-    solve(tied, unknown, in_.level.wedge_count);
+    return sum;
   }
 
   float& value(int32_t wedge, int column) { return values_[static_cast<size_t>(wedge) * in_.columns + column]; }
   float original_value(int32_t wedge, int column) const {
     return in_.original.values[static_cast<size_t>(wedge) * in_.columns + column];
-  }
-
-  // The lowest wedge of the level that each is tied to: two wedges of a vertex are, if most of the original's pairs of
-  // wedges that they stand for are equal in `columns`.
-  std::vector<int32_t> tie(const std::vector<int>& columns) const {
-    struct Pair {
-      int32_t low, high;
-      int equal;
-    };
-    std::vector<int32_t> first(in_.original.vertex_count, kNone);
-    std::vector<Pair> pairs;
-    for (int64_t i = 0; i < 3 * static_cast<int64_t>(in_.original.face_count); ++i) {
-      const int32_t w = in_.original.wedges[i], v = in_.original.faces[i];
-      if (first[v] == kNone) first[v] = w;
-      if (first[v] == w) continue;
-      const int32_t a = in_.wedge_to[first[v]], b = in_.wedge_to[w];
-      if (a == kNone || b == kNone || a == b) continue;
-      const bool equal = std::all_of(columns.begin(), columns.end(), [&](int c) {
-        return std::abs(original_value(first[v], c) - original_value(w, c)) < kEqual;
-      });
-      pairs.push_back({std::min(a, b), std::max(a, b), equal ? 1 : -1});
-    }
-    std::sort(pairs.begin(), pairs.end(), [](const Pair& a, const Pair& b) { return a.low != b.low ? a.low < b.low : a.high < b.high; });
-    std::vector<int32_t> owner(in_.level.wedge_count, kNone), group(in_.level.wedge_count);
-    for (int64_t i = 0; i < 3 * static_cast<int64_t>(in_.level.face_count); ++i) owner[in_.level.wedges[i]] = in_.level.faces[i];
-    for (int w = 0; w < in_.level.wedge_count; ++w) group[w] = w;
-    const auto root = [&](int32_t w) {
-      while (group[w] != w) w = group[w];
-      return w;
-    };
-    for (size_t i = 0, j; i < pairs.size(); i = j) {
-      int votes = 0;
-      for (j = i; j < pairs.size() && pairs[j].low == pairs[i].low && pairs[j].high == pairs[i].high; ++j) votes += pairs[j].equal;
-      if (votes <= 0 || owner[pairs[i].low] != owner[pairs[i].high]) continue;
-      const int32_t a = root(pairs[i].low), b = root(pairs[i].high);
-      group[std::max(a, b)] = std::min(a, b);
-    }
-    for (int w = 0; w < in_.level.wedge_count; ++w) group[w] = root(w);
-    return group;
   }
 
   // At the border of a chart a fit may reach beyond it, where the texture shows something else: no farther from what
@@ -458,10 +446,9 @@ class Fit {
     return balance != 0;
   }
 
-  // Adds to `columns` of the wedges what fits the samples best, by one unknown for each of `count` numbers that the
-  // corners of the level have in `unknown`.
-  void solve(const std::vector<int>& columns, const std::vector<int32_t>& unknown, int count) {
-    const int width = static_cast<int>(columns.size()), faces = in_.level.face_count;
+  // Adds to the wedges' values what fits the samples best.
+  void solve() {
+    const int width = in_.columns, faces = in_.level.face_count, count = in_.level.wedge_count;
     std::vector<std::array<float, 6>> mass(faces);
     std::vector<float> right(static_cast<size_t>(faces) * 3 * width, 0.0f);
     for (const Hit& hit : hits_) {
@@ -474,7 +461,7 @@ class Fit {
       float* to = &right[static_cast<size_t>(hit.face) * 3 * width];
       for (int c = 0; c < width; ++c) {
         float off = 0;
-        for (int k = 0; k < 3; ++k) off += a[k] * original_value(w[k], columns[c]) - b[k] * value(u[k], columns[c]);
+        for (int k = 0; k < 3; ++k) off += a[k] * original_value(w[k], c) - b[k] * value(u[k], c);
         for (int k = 0; k < 3; ++k) to[k * width + c] += share_ * b[k] * off;
       }
     }
@@ -483,7 +470,7 @@ class Fit {
       for (int pair = 0; pair < 6; ++pair) mass[f][pair] += pair == 0 || pair == 3 || pair == 5 ? 2 * m : m;
     }
     std::vector<int32_t> start_of, corners_of;  // the corners of each unknown: 3 · face + slot
-    index_corners(unknown.data(), count, start_of, corners_of);
+    index_corners(in_.level.wedges, count, start_of, corners_of);
     const size_t size = static_cast<size_t>(count) * width;
     std::vector<float> r(size, 0), x(size, 0), p(size), q(size), over(count, 0);
     for (int i = 0; i < count; ++i) {
@@ -514,7 +501,7 @@ class Fit {
             const int k = corners_of[j] % 3;
             for (int l = 0; l < 3; ++l) {
               const float m = mass[f][kPair[k][l]];
-              const float* from = &p[static_cast<size_t>(unknown[3 * static_cast<size_t>(f) + l]) * width];
+              const float* from = &p[static_cast<size_t>(in_.level.wedges[3 * static_cast<size_t>(f) + l]) * width];
               for (int c = 0; c < width; ++c) to[c] += m * from[c];
             }
           }
@@ -539,16 +526,8 @@ class Fit {
       });
       rz = next;
     }
-    std::vector<uint8_t> done(in_.level.wedge_count, 0);
-    for (size_t i = 0; i < unknown.size(); ++i) {
-      const int32_t w = in_.level.wedges[i];
-      if (done[w]) continue;
-      done[w] = 1;
-      for (int c = 0; c < width; ++c) {
-        const float to = value(w, columns[c]) + x[static_cast<size_t>(unknown[i]) * width + c];
-        if (std::isfinite(to)) value(w, columns[c]) = to;
-      }
-    }
+    for (size_t i = 0; i < size; ++i)
+      if (std::isfinite(values_[i] + x[i])) values_[i] += x[i];
   }
 
   const FitInput& in_;

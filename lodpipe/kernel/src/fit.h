@@ -28,8 +28,8 @@ struct FitMesh {
 struct FitInput {
   FitMesh original, level;
   int columns;
+  const float* importance;   // original.vertex_count or null: multiplies the area round the vertex
   const int32_t* wedge_to;   // original.wedge_count: the level's wedge that stands for it; −1: none
-  const uint8_t* tied;       // columns: whether wedges of a vertex that are equal in the original stay equal
 };
 
 struct FitResult {
