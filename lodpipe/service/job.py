@@ -214,9 +214,11 @@ def nature_of(error: BaseException | None) -> str:
     """The nature of a failure, from the exception and what lies behind it."""
     if isinstance(error, TooSlow):
         return AGAIN
-    while error is not None:
+    seen: list[BaseException] = []
+    while error is not None and error not in seen:  # `raise error from error` makes a circle
         if isinstance(error, OSError) and error.errno in PASSING_ERRORS:
             return PASSING
+        seen.append(error)
         error = error.__cause__ or error.__context__
     return INPUT
 

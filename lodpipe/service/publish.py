@@ -37,7 +37,8 @@ class Output:
 
     def sweep(self) -> None:
         """Remove what runs that crashed have left behind, and put back a revision that one was replacing."""
-        for path in sorted(self.state.glob("*-*")):
+        # only these: to open and close the job table's own files here would release the locks that SQLite holds on them
+        for path in sorted([*self.state.glob("tmp-*"), *self.state.glob("old-*")]):
             with _lock(path) as owned:
                 if owned is not True:
                     continue
