@@ -25,7 +25,7 @@ MAY_IMPORT: dict[str, str] = {
     "pipeline": "config stage core",
     "plugins": "stages stage core",
     "reporting": "core",
-    "service": "lodpipe plugins pipeline reporting config stage io o3d core",  # o3d: a worker warms up with it
+    "service": "lodpipe plugins pipeline reporting config stage io core",
     "cli": "lodpipe service plugins pipeline reporting config stages stage geometry io core",
     "__main__": "cli",
 }

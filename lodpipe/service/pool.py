@@ -91,13 +91,15 @@ def run_one(job: Job, progress: Report, worker: Worker | None = None, stop: Even
 class Worker:
     """A fresh process that does one job, and the line that it writes its news on.
 
-    It may be made before its job is known: it then loads what every job needs, and waits.
+    It may be made before its job is known: it then loads the `modules`, and waits.
     """
 
-    def __init__(self, threads: int = 0, *, warm: bool = False) -> None:
+    def __init__(self, threads: int = 0, modules: Iterable[str] = ()) -> None:
         self.stage = "start"
         self.outcome: Outcome | None = None
         self.error: dict[str, Any] = {}
+        self.modules: list[str] = []
+        """What a job has loaded, once it is through."""
         self.ended = False
         self._job: Job | None = None
         self._begin = time.monotonic()
@@ -112,7 +114,7 @@ class Worker:
         if threads:
             environment["OMP_NUM_THREADS"] = str(threads)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "lodpipe.service.worker", str(sender), *(["warm"] if warm else [])],
+            [sys.executable, "-m", "lodpipe.service.worker", str(sender), *modules],
             stdin=subprocess.PIPE,
             stdout=self._printed,
             stderr=self._printed,
@@ -176,6 +178,8 @@ class Worker:
             if "progress" in news:
                 index, self.stage, share = news["progress"]
                 progress(self.job, index, self.stage, share)
+            elif "modules" in news:
+                self.modules = news["modules"]
             elif "outcome" in news:
                 self.outcome = Outcome(**news["outcome"])
             else:

@@ -1,6 +1,6 @@
-"""The fresh process that does one job: ``python -m lodpipe.service.worker FD [warm]``.
+"""The fresh process that does one job: ``python -m lodpipe.service.worker FD [MODULE …]``.
 
-With `warm` it loads what every job needs before it looks for one, so that the job need not wait for that. The job
+It loads the modules that are named before it looks for its job, so that the job need not wait for that. The job
 comes as a line of JSON on stdin, which then stays open for as long as the parent lives; what happens goes as lines of
 JSON to the file descriptor FD, so that whatever a library prints cannot disturb it.
 """
@@ -20,7 +20,6 @@ import time
 from typing import Any
 
 from lodpipe.core.errors import LodpipeError
-from lodpipe.plugins import find_stages
 from lodpipe.service.job import Job, nature_of, process
 
 PROGRESS_SECONDS = 0.1
@@ -32,8 +31,9 @@ def main() -> int:
     """Do the job; the exit code says only whether an outcome was delivered."""
     faulthandler.enable()
     with open(int(sys.argv[1]), "w", encoding="ascii", buffering=1) as events:  # noqa: PTH123 a descriptor, no path
-        if "warm" in sys.argv[2:]:
-            _warm_up()
+        for name in sys.argv[2:]:
+            with contextlib.suppress(ImportError, LodpipeError):  # the job that needs it tells what is wrong
+                importlib.import_module(name)
         line = sys.stdin.readline()
         if not line:  # the parent needs no job done after all
             return 0
@@ -55,14 +55,14 @@ def main() -> int:
         except LodpipeError as error:
             events.write(json.dumps({"error": {"message": str(error), "nature": nature_of(error)}}) + "\n")
             return 1
+        events.write(json.dumps({"modules": _loaded()}) + "\n")
         events.write(json.dumps({"outcome": dataclasses.asdict(outcome)}) + "\n")
     return 0
 
 
-def _warm_up() -> None:
-    """Import what is slow to import; a job would do it anyway."""
-    importlib.import_module("lodpipe.o3d")
-    find_stages()
+def _loaded() -> list[str]:
+    """The parts of lodpipe that the job has needed: the next one will, too."""
+    return sorted(name for name in sys.modules if name.startswith("lodpipe.") and name != "lodpipe.service.worker")
 
 
 def _die_with_parent() -> None:

@@ -19,6 +19,7 @@ class LocalExecutor:
         self._stops: dict[str, threading.Event] = {}
         self._workers: dict[str, Worker] = {}
         self._spares: list[Worker] = []
+        self._modules: list[str] = ["lodpipe.stages"]
         self._threads: dict[str, threading.Thread] = {}
 
     def start(self, key: str, job: Job, content: str) -> None:
@@ -41,7 +42,7 @@ class LocalExecutor:
         wanted = max(1, self.slots - len(self._workers))
         self._spares = [worker for worker in self._spares if worker.process.poll() is None]
         while len(self._spares) < wanted:
-            self._spares.append(Worker(self._settings.threads, warm=True))
+            self._spares.append(Worker(self._settings.threads, self._modules))
 
     def rest(self) -> None:
         """End the processes that wait for a job."""
@@ -82,6 +83,7 @@ class LocalExecutor:
         except Exception as error:  # a bug here must not lose the job
             message = f"{job.path}: internal error: {type(error).__name__}: {error}"
             outcome = Outcome(job.path, str(job.place), "bug", "", message, nature=AGAIN)
+        self._modules = worker.modules or self._modules
         for known in (self._stops, self._workers, self._threads):
             known.pop(key, None)
         self._listener.ended(key, outcome)
