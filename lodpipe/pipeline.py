@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from lodpipe.config.load import Step, bind, resolved
 from lodpipe.config.model import Budgets, Config
@@ -16,7 +16,8 @@ from lodpipe.config.source import Source
 from lodpipe.core.asset import Asset, Lod
 from lodpipe.core.cache import Cache
 from lodpipe.core.errors import LodpipeError
-from lodpipe.core.report import LevelReport, Report, StageReport
+from lodpipe.core.page import Page
+from lodpipe.core.report import LevelReport, Measurement, Report, StageReport
 from lodpipe.stage import AnyStage, Context, Progress
 
 StageProgress = Callable[[int, str, float], None]
@@ -37,6 +38,9 @@ class Pipeline:
         """The configuration in `source`; raises ConfigErrors with a line for each problem."""
         return cls(*bind(source, known_stages))
 
+    def _params(self) -> list[dict[str, Any]]:
+        return [step.params.model_dump(mode="json") for step in self.steps]
+
     def resolved(self) -> dict[str, Any]:
         """All of it as plain data, defaults included; a Source of it loads to the same pipeline."""
         return resolved(self.config)
@@ -51,11 +55,13 @@ class Pipeline:
         cancelled: Callable[[], bool] = lambda: False,
         log: logging.Logger | None = None,
         report: Report | None = None,
+        results: Results | None = None,
     ) -> tuple[Asset, Report]:
         """Lead `asset` through the chain; the new asset, and what happened.
 
         `output` is the folder that `export` writes into. A `report` that is given is filled in as the stages end,
-        so that its owner has what there is when one of them raises. LodpipeErrors come with the asset's and the
+        so that its owner has what there is when one of them raises. Stages whose result `results` has are not run
+        again. LodpipeErrors come with the asset's and the
         stage's name as their place; `StageFailed` wraps any other exception, which is a bug.
         """
         report = report or Report(asset.name)
@@ -66,10 +72,17 @@ class Pipeline:
         log = log or logging.getLogger("lodpipe")
         files: dict[int, list[Path]] = {}
         cache = Cache()
-        for index, step in enumerate(self.steps):
+        begin_at = 0
+        if results and (kept := results.find(self._params(), _values(self.config))):
+            asset = dataclasses.replace(kept.asset, path=asset.path, members=asset.members)
+            report.page = kept.page
+            report.stages += [_kept_part(data) for data in kept.parts]
+            begin_at = kept.index + 1
+            log.info("kept from an earlier run: %s", ", ".join(part.name for part in report.stages))
+        for index, step in enumerate(self.steps[begin_at:], begin_at):
             part = StageReport(step.stage.name, params=step.params.model_dump(mode="json"))
             report.stages.append(part)
-            context = Context(
+            context = _Noticing(
                 lods=self.config.targets(),
                 seed=self.config.seed,
                 threads=self.config.threads,
@@ -96,10 +109,72 @@ class Pipeline:
             finally:
                 part.seconds = time.perf_counter() - begin
             report.page = context.page or report.page
+            if results and files:
+                results.stop()
+            elif results:
+                values = {name: value for name, value in _values(self.config).items() if name in context.used}
+                results.keep(index, part.params, asset, report.page, dataclasses.asdict(part), values)
             progress(index, step.stage.name, 1.0)
             log.info("%s: done in %.2f s", step.stage.name, part.seconds)
         _finish(report, asset, output, files, self.config.budgets)
         return asset, report
+
+
+@dataclass(frozen=True)
+class Kept:
+    """The result of the stages up to `index`, from an earlier run."""
+
+    index: int
+    asset: Asset
+    page: Page | None
+    parts: list[dict[str, Any]]
+    """`StageReport` of each of them, as plain data."""
+
+
+class Results(Protocol):
+    """Keeps results of stages from run to run; lodpipe.service.results has the rules."""
+
+    def find(self, chain: list[dict[str, Any]], values: dict[str, Any]) -> Kept | None:
+        """The result of as many stages as possible of a `chain` (the params of each) under these `values`."""
+
+    def keep(
+        self,
+        index: int,
+        params: dict[str, Any],
+        asset: Asset,
+        page: Page | None,
+        part: dict[str, Any],
+        used: dict[str, Any],
+    ) -> None:
+        """A stage has run; `used` has the values that it has looked at."""
+
+    def stop(self) -> None:
+        """A stage has written files: neither it nor what follows can be kept."""
+
+
+class _Noticing(Context):
+    """A context that notices at which values of the configuration a stage looks."""
+
+    def __getattribute__(self, name: str) -> Any:
+        if name in ("lods", "seed"):
+            self.__dict__.setdefault("_used", set()).add(name)
+        return super().__getattribute__(name)
+
+    @property
+    def used(self) -> set[str]:
+        """Names of the values."""
+        found: set[str] = self.__dict__.get("_used", set())
+        return found
+
+
+def _values(config: Config) -> dict[str, Any]:
+    """What a stage may look at besides its params, as plain data."""
+    return {"lods": [dataclasses.asdict(target) for target in config.targets()], "seed": config.seed}
+
+
+def _kept_part(data: dict[str, Any]) -> StageReport:
+    measurements = [Measurement(**entry) for entry in data["measurements"]]
+    return StageReport(**data | {"measurements": measurements, "kept": True})
 
 
 class StageFailed(Exception):

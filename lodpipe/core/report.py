@@ -28,6 +28,10 @@ class StageReport:
     seconds: float = 0.0
     measurements: list[Measurement] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    kept: bool = False
+    """Whether its result was taken from an earlier run; `seconds` are of that one."""
+    reason: str = ""
+    """Why it ran, where an earlier run's result was there to compare with."""
 
 
 @dataclass

@@ -129,11 +129,22 @@ def summary(result: Result, style: Style) -> list[str]:
     if result.outcome == "unchanged":
         return [clean(f"{result.place}: ") + word + clean(f", {result.folder} is up to date")]
     lines = [style(clean(result.place), "bold") + f": {word}, {result.seconds:.1f} s, " + clean(f"in {result.folder}")]
+    lines += [style("  again: ", "dim") + clean(text) for text in _reruns(report)]
     lines += _levels(report)
     failed = [entry for entry in report.get("budgets", ()) if not entry["ok"]]
     lines += [style(f"  over budget: {_budget(entry)}", "red") for entry in failed]
     lines += [style("  warning: ", "yellow") + clean(text) for text in warnings_of(report)]
     return lines
+
+
+def _reruns(report: dict[str, Any]) -> list[str]:
+    """Of an asset that was processed before: which stages ran again and why, and which results were kept."""
+    stages = report.get("stages", ())
+    kept = [stage["name"] for stage in stages if stage.get("kept")]
+    parts = [f"{stage['name']} ({stage['reason']})" for stage in stages if stage.get("reason")]
+    if kept:
+        parts.append(f"kept: {', '.join(kept)}")
+    return ["; ".join(parts)] if parts else []
 
 
 def warnings_of(report: dict[str, Any]) -> list[str]:

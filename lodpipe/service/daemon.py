@@ -512,7 +512,8 @@ class Daemon:
         folder = str(place.parent)
         asset = Found(self.root / row.key, "" if folder == "." else folder, place.name)
         job = job_of(asset, self.output.root, self.recipe, self.watch.workers)
-        return dataclasses.replace(job, read_from=copy, records=(INPUT, AGAIN) if last else (INPUT,))
+        records = (INPUT, AGAIN) if last else (INPUT,)
+        return dataclasses.replace(job, read_from=copy, fresh=bool(row.force), records=records)
 
     def _note_progress(self, key: str, step: int, stage: str, share: float) -> None:
         row, now = self._ledger.rows.get(key), self.clock.monotonic()

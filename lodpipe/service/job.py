@@ -27,7 +27,10 @@ from lodpipe.reporting.report_json import dump_report, report_data
 from lodpipe.service import manifest
 from lodpipe.service.memory import memory_limit, peak_memory_mb
 from lodpipe.service.publish import FAILED, Output
+from lodpipe.service.reasons import reasons
 from lodpipe.service.recipe import Recipe
+from lodpipe.service.results import FOLDER as RESULTS
+from lodpipe.service.results import StageResults
 
 REPORT = "report.json"
 LOG = "lodpipe.log"
@@ -61,6 +64,8 @@ class Job:
     """What a shell needs to do the same again; for the report."""
     read_from: str = ""
     """A copy of the input that is read in its place, while messages tell of `path`."""
+    fresh: bool = False
+    """Whether results of stages that were kept from earlier runs must not be used."""
     records: tuple[str, ...] = (INPUT, AGAIN, PASSING)
     """Natures of failures that leave a record in `.failed`; the others are told to the caller alone."""
 
@@ -264,6 +269,9 @@ def _build(
     read = _load(job, pipeline, log)
     scratch = built.parent / "scratch"
     scratch.mkdir()
+    recipe = Recipe.of(pipeline)
+    inputs = manifest.inputs_of(read)
+    again = reasons(manifest.read(output.root / job.place), inputs, recipe)
     run = dataclasses.replace(pipeline, config=pipeline.config.model_copy(update={"threads": job.threads}))
     run.run(
         read,
@@ -272,7 +280,12 @@ def _build(
         progress=lambda index, name, share: progress(index + 1, name, share),
         log=log,
         report=report,
+        results=_results(job, output, recipe, [read.name, inputs, sorted(read.missing)]),
     )
+    for part, reason in zip(report.stages, again, strict=True):
+        part.reason = "" if part.kept else reason
+        if part.reason:
+            log.info("%s ran again: %s", part.name, part.reason)
     progress(len(pipeline.steps), "publish", 0.0)
     log.info("outcome: %s", report.outcome)
     handler.close()
@@ -281,8 +294,16 @@ def _build(
     write_page(report, built)
     dump_report(report, built / REPORT)
     _check_size(built, pipeline.config.limits.output_bytes)
-    manifest.write(built, read, Recipe.of(pipeline), str(job.place), report.outcome, report.versions)
+    manifest.write(built, read, recipe, str(job.place), report.outcome, report.versions)
     return output.publish(built, job.place)
+
+
+def _results(job: Job, output: Output, recipe: Recipe, origin: list[Any]) -> StageResults | None:
+    cache = recipe.config["cache"]
+    limit = int(cache["gb"] * 1e9)
+    if job.fresh or not limit:
+        return None
+    return StageResults(output.state / RESULTS, limit, cache["min_seconds"], origin, recipe.stages)
 
 
 def _load(job: Job, pipeline: Pipeline, log: logging.Logger) -> Asset:

@@ -19,8 +19,7 @@ VERSION = 2
 def write(folder: Path, asset: Asset, recipe: Recipe, place: str, outcome: str, versions: dict[str, str]) -> None:
     """Describe the folder as it stands; `asset` is the one that was read, with its members."""
     files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path != folder / NAME]
-    home = asset.members[0].parent if asset.members else Path()
-    inputs = [_entry(path, home) for path in asset.members]
+    inputs = inputs_of(asset)
     data = {
         "manifest_version": VERSION,
         "asset": asset.name,
@@ -35,6 +34,12 @@ def write(folder: Path, asset: Asset, recipe: Recipe, place: str, outcome: str, 
         "files": [_entry(path, folder) for path in files],
     }
     (folder / NAME).write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+
+
+def inputs_of(asset: Asset) -> list[dict[str, Any]]:
+    """Path (relative to the asset's folder), size and sha256 of every file that was read, the asset's own first."""
+    home = asset.members[0].parent if asset.members else Path()
+    return [_entry(path, home) for path in asset.members]
 
 
 def fingerprint(inputs: Iterable[dict[str, Any]], recipe: Recipe) -> str:

@@ -266,7 +266,7 @@ def mass(root: Path, count: int) -> dict[str, object]:
         f"of last {sum(memory[-third:]) / third:.0f}",
         "idle CPU": f"{idle:.2f} %",
         "picked up after settling": f"{max(late):.2f} s at most (of 5)",
-        "a job alone (median of 5)": f"{statistics.median(ours):.2f} s; `lodpipe run`: {statistics.median(plain):.2f} s",
+        "a job alone (median of 5)": f"{statistics.median(ours):.2f} s; as run: {statistics.median(plain):.2f} s",
         "exit code": code,
         "state": intact(daemon) or "intact",
     }
