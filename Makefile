@@ -16,7 +16,7 @@ NATIVE := $(VENV)/native.stamp
 VALIDATOR := $(VENV)/validator.stamp
 BROWSER := $(VENV)/browser.stamp
 SAMPLES := sample_assets/made.stamp
-CXX_SOURCES := $(wildcard lodpipe/kernel/src/*) lodpipe/kernel/CMakeLists.txt
+CXX_SOURCES := $(wildcard lodpipe/kernel/src/* lodpipe/kernel/src/*/*) lodpipe/kernel/CMakeLists.txt
 SITE = $(shell $(PY) -c 'import sysconfig; print(sysconfig.get_path("platlib"))')
 SANITIZE_BUILD := build/sanitize
 

@@ -6,7 +6,7 @@ at the size at which the scene shows it, so that a collapse in a button competes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, overload
 
@@ -20,8 +20,11 @@ from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.flatten import flatten, largest_placement
 from lodpipe.geometry.progressive import rebuild
 from lodpipe.geometry.shading import with_normals
+from lodpipe.geometry.similarity import decimate_joined
+from lodpipe.geometry.texture import U8
 from lodpipe.geometry.visibility import vertex_visibility
 from lodpipe.kernel import QuadricOptions
+from lodpipe.kernel.similarity import SimilarityOptions
 
 Metric = Literal["quadric", "visual"]
 
@@ -79,22 +82,24 @@ def decimate(source: Mesh | Asset, target: int | float | Target, **settings: Any
 def decimate_asset(
     asset: Asset,
     targets: Sequence[Target],
-    options: QuadricOptions | None = None,
+    options: QuadricOptions | SimilarityOptions | None = None,
     *,
     weights: AttributeWeights | None = None,
     metric: Metric = "quadric",
+    pixels: Mapping[int, U8] | None = None,
     threads: int = 0,
     progress: Callable[[float, float], None] = _no_progress,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> tuple[Lod, ...]:
     """All levels of an asset: level 0, the source, and one for each target, in the targets' order.
 
-    Meshes with a `keep_reason` pass as they are; their triangles count against the target. Raises InvalidMesh for a
-    target out of range, Cancelled when `cancelled` says so.
+    Meshes with a `keep_reason` pass as they are; their triangles count against the target. `pixels` holds the decoded
+    images by their row, for SimilarityOptions alone. Raises InvalidMesh for a target out of range, Cancelled when
+    `cancelled` says so.
     """
     options = options or QuadricOptions()
     source = Lod(meshes=asset.meshes)
-    if metric == "visual":
+    if metric == "visual" and isinstance(options, QuadricOptions):
         options, weights = _steered(options, weights)
         asset = replace(asset, meshes=tuple(m if m.keep_reason else with_normals(m) for m in asset.meshes))
     joined = _Joined.of(asset)
@@ -104,32 +109,40 @@ def decimate_asset(
     counts = [_count(goal, source.triangles) for goal in targets]
     wanted = sorted({max(c - fixed, 0) for c in counts if c is not None}, reverse=True)
     by_error = any(c is None for c in counts)
-    fits = metric == "visual" and options.placement != "endpoint"  # which invents no values
+    fits = (  # half-edge collapses invent no values
+        metric == "visual" and isinstance(options, QuadricOptions) and options.placement != "endpoint"
+    )
     finest = [c for c in counts if c]
-    values, column_weights = joined.columns(options, weights or AttributeWeights(), min(finest, default=1))
+    goals = [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted
 
     def step(done: int, total: int) -> bool:
         progress(done, total)
         return not cancelled()
 
-    result = kernel.decimate(
-        joined.positions,
-        joined.faces,
-        [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted,
-        replace(
-            options,
-            record=options.record or by_error,
-            keep_last=fixed == 0,
-            chart_column=joined.chart_column,
-            follow=fits,
-        ),
-        wedges=joined.wedges,
-        values=values,
-        column_weights=column_weights,
-        importance=joined.importance,
-        threads=threads,
-        progress=step,
-    )
+    result: kernel.Decimation
+    if isinstance(options, SimilarityOptions):
+        options = replace(options, record=options.record or by_error, keep_last=fixed == 0)
+        result = decimate_joined(asset, joined, goals, options, pixels or {}, threads, step)
+    else:
+        values, column_weights = joined.columns(options, weights or AttributeWeights(), min(finest, default=1))
+        result = kernel.decimate(
+            joined.positions,
+            joined.faces,
+            goals,
+            replace(
+                options,
+                record=options.record or by_error,
+                keep_last=fixed == 0,
+                chart_column=joined.chart_column,
+                follow=fits,
+            ),
+            wedges=joined.wedges,
+            values=values,
+            column_weights=column_weights,
+            importance=joined.importance,
+            threads=threads,
+            progress=step,
+        )
     if any(level.stop == "cancelled" for level in result.levels) or cancelled():
         raise Cancelled("cancelled")
     made = {level.target: level for level in result.levels}

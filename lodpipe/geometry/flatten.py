@@ -163,7 +163,7 @@ def _placed(positions: F64, matrix: F64) -> F64:
     return positions @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def _turned(normals: F32, matrix: F64) -> F32:
+def turned_normals(normals: F32, matrix: F64) -> F32:
     """Unit normals under `matrix`, by its cofactors: the inverse transpose, without dividing by a determinant of 0.
 
     The cofactor matrix of a mirroring matrix points normals inwards, where the inverse transpose points outwards.
@@ -186,7 +186,7 @@ def _turned_tangents(tangents: F32, matrix: F64) -> F32:
     return np.concatenate([(turned / np.where(length > 0, length, 1.0)).astype(np.float32), sides], axis=1)
 
 
-_TURN = {"NORMAL": _turned, "TANGENT": _turned_tangents}
+_TURN = {"NORMAL": turned_normals, "TANGENT": _turned_tangents}
 
 
 def _wedge_rows(mesh: Mesh) -> int:

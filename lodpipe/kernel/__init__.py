@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
 
@@ -13,6 +13,13 @@ from numpy.typing import NDArray
 from lodpipe.core.errors import InvalidMesh
 from lodpipe.core.mesh import F32, F64, I32
 from lodpipe.kernel import _native
+from lodpipe.kernel.similarity import (
+    SIMILARITY_RANGES,
+    Appearance,
+    SimilarityOptions,
+    native_appearance,
+    native_options,
+)
 
 Placement = Literal["optimal", "endpoint", "midpoint"]
 Weighting = Literal["uniform", "area", "area-angle"]
@@ -158,9 +165,7 @@ def decimate(
     of the input are left out. Raises InvalidMesh for arrays that do not fit together.
     """
     options = options or QuadricOptions()
-    goals = [int(t) for t in targets]
-    if any(t < 0 for t in goals) or goals != sorted(goals, reverse=True):
-        raise InvalidMesh(f"targets must be descending and not negative (got {goals})")
+    goals = _goals(targets)
     arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
     if options.chart_column is not None and not 0 <= options.chart_column < arrays[3].shape[1] - 1:
         raise InvalidMesh(f"chart_column {options.chart_column} needs two columns from there on")
@@ -247,6 +252,86 @@ def edge_costs(
     """
     arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
     return EdgeCosts(**_native.edge_costs(*arrays, _options(options or QuadricOptions(), 1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity(Decimation):
+    """costs (N,) float64 of the collapses in their order, and how many costs were evaluated for them."""
+
+    costs: F64 = field(default_factory=lambda: np.empty(0))
+    evaluations: int = 0
+
+
+def similarity_decimate(
+    positions: F64,
+    faces: I32,
+    targets: Sequence[int],
+    appearance: Appearance,
+    options: SimilarityOptions | None = None,
+    *,
+    wedges: I32 | None = None,
+    values: F32 | None = None,
+    column_weights: Sequence[float] = (),
+    importance: F32 | None = None,
+    locked: NDArray[np.bool_] | None = None,
+    threads: int = 0,
+    progress: Callable[[int, int], bool] | None = None,
+) -> Similarity:
+    """Decimation by what is seen, one queue of lazily evaluated collapses, all targets in one pass.
+
+    Parameters as for `decimate`, but for `appearance` and: column_weights weigh the UV columns in the placement of
+    full-edge collapses; importance (V,) multiplies costs. Raises InvalidMesh for arrays that do not fit together, and
+    for `texture_deviation` or the correspondence `uv` without UVs.
+    """
+    options = options or SimilarityOptions()
+    goals = _goals(targets)
+    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
+    seen = native_appearance(appearance, options, len(arrays[1]), arrays[3].shape[1])
+    native = _similarity_options(options, threads)
+    given = _native.similarity_decimate(*arrays, *seen, goals, progress or (lambda done, total: True), native)
+    levels = [_level(data) for data in given["levels"]]
+    record = _record(given["record"], arrays[3].shape[1]) if options.record else None
+    return Similarity(levels, record, given["costs"], given["evaluations"])
+
+
+def similarity_costs(
+    positions: F64,
+    faces: I32,
+    appearance: Appearance,
+    options: SimilarityOptions | None = None,
+    *,
+    wedges: I32 | None = None,
+    values: F32 | None = None,
+    column_weights: Sequence[float] = (),
+    importance: F32 | None = None,
+    locked: NDArray[np.bool_] | None = None,
+) -> tuple[I32, F64, F64]:
+    """What each collapse of the mesh as it is would cost.
+
+    (N, 2) int32: the vertex that goes and the one that stays; (N,) float64 cost, infinite where it is refused;
+    (N, 3) float64 place of the latter afterwards. Parameters as for `similarity_decimate`.
+    """
+    options = options or SimilarityOptions()
+    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
+    seen = native_appearance(appearance, options, len(arrays[1]), arrays[3].shape[1])
+    given = _native.similarity_costs(*arrays, *seen, _similarity_options(options, 1))
+    return given["pairs"], given["cost"], given["places"]
+
+
+def _similarity_options(options: SimilarityOptions, threads: int) -> _native.SimilarityOptions:
+    _check_ranges(options, SIMILARITY_RANGES, threads)
+    native = _native.SimilarityOptions()
+    for name, value in native_options(options).items():
+        setattr(native, name, value)
+    native.threads = threads or os.cpu_count() or 1
+    return native
+
+
+def _goals(targets: Sequence[int]) -> list[int]:
+    goals = [int(t) for t in targets]
+    if any(t < 0 for t in goals) or goals != sorted(goals, reverse=True):
+        raise InvalidMesh(f"targets must be descending and not negative (got {goals})")
+    return goals
 
 
 def _checked(
@@ -337,6 +422,10 @@ def _check_options(options: QuadricOptions, threads: int) -> None:
         "round_share": (0, 1),
         "max_error": (0, np.inf),
     }
+    _check_ranges(options, ranges, threads)
+
+
+def _check_ranges(options: Any, ranges: Mapping[str, tuple[float, float]], threads: int) -> None:
     for name, (low, high) in ranges.items():
         value = getattr(options, name)
         if value is not None and not low <= value <= high:

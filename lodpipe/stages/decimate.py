@@ -8,13 +8,19 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lodpipe.core.asset import Asset
+from lodpipe.core.errors import AssetError, LimitError
 from lodpipe.geometry.decimate import AttributeWeights, decimate_asset
 from lodpipe.geometry.flatten import flatten
+from lodpipe.geometry.surface import image_index
+from lodpipe.geometry.texture import U8
+from lodpipe.io import decode_image
 from lodpipe.kernel import QuadricOptions
+from lodpipe.kernel.similarity import SimilarityOptions
 from lodpipe.stage import Context, Params, stage
 
 Weight = Annotated[float, Field(ge=0)]
 DEFAULTS = QuadricOptions()
+SIMILARITY = SimilarityOptions()
 
 #: What held when a level has more triangles than asked for.
 REASONS = {
@@ -29,9 +35,10 @@ REASONS = {
 class DecimateParams(Params):
     """Parameters of `decimate`."""
 
-    metric: Literal["quadric", "visual"] = "quadric"
-    """What decides: `quadric`, squared distance to the planes that were merged; `visual`, what is seen: light counts,
-    too, and each level is fitted to the source."""
+    metric: Literal["quadric", "visual", "ray", "texture_deviation", "image"] = "quadric"
+    """What decides. `quadric`: squared distance to the planes that were merged. `visual`: what is seen: light counts,
+    too, and each level is fitted to the source. Slower, to study and compare: `ray` (what rays from round the region
+    see change), `texture_deviation` (how far points of equal UV move), `image` (what 20 pictures show)."""
     collapse: Literal["full", "half"] = "full"
     """`full` puts the merged vertex where the error is least; `half` keeps only vertices of the source."""
     placement: Literal["optimal", "midpoint"] = "optimal"
@@ -60,6 +67,18 @@ class DecimateParams(Params):
     """Keep holes and handles, and a manifold one, for as long as the target can be reached that way."""
     may_relax: bool = DEFAULTS.may_relax
     """Give `keep_topology` up when the target cannot be reached otherwise."""
+    reference: Literal["original", "previous"] = SIMILARITY.reference
+    """`ray`, `texture_deviation`: compare with the source, or with the mesh just before the collapse."""
+    correspondence: Literal["scene", "uv"] = SIMILARITY.correspondence
+    """`ray`: which triangles of the source a ray can meet: those near it, or those with the UVs of the region."""
+    views: int = Field(SIMILARITY.views, ge=1, le=256)
+    """`ray`: viewpoints on the hemisphere over a region."""
+    penalty: Literal["constant", "view"] = SIMILARITY.penalty
+    """`ray`: what a ray costs that meets one of the two meshes only: its difference to grey, or more from above."""
+    spacing: float = Field(SIMILARITY.spacing, ge=0.05, le=100)
+    """`ray`: distance of sample points, in √(2 · mean area of the source's triangles)."""
+    image_size: int = Field(SIMILARITY.image_size, ge=16, le=4096)
+    """`image`: width and height of the pictures."""
     round_share: float = Field(DEFAULTS.round_share, gt=0, le=1)
     """Share of the vertices considered at a time: smaller is nearer to the best order, larger is faster."""
 
@@ -70,24 +89,16 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
     for mesh in asset.meshes:
         if mesh.keep_reason:
             context.warn(f"mesh '{mesh.name}' is not simplified: {mesh.keep_reason}")
+    similarity = _similarity(params)
+    options = similarity or _quadric(asset, params)
+    pixels = _pixels(asset, context) if similarity else {}
     levels = decimate_asset(
         asset,
         context.lods,
-        QuadricOptions(
-            placement="endpoint" if params.collapse == "half" else params.placement,
-            weighting=params.weighting,
-            boundary_weight=params.boundary_weight,
-            seam_weight=params.seam_weight,
-            crease_weight=params.crease_weight,
-            crease_degrees=params.crease_degrees,
-            pair_distance=params.pair_distance / 100 * flatten(asset).diagonal if params.pair_distance else 0.0,
-            attribute_cost=params.attributes,
-            keep_topology=params.keep_topology,
-            may_relax=params.may_relax,
-            round_share=params.round_share,
-        ),
+        options,
         weights=AttributeWeights(params.uv_weight, params.normal_weight, params.color_weight),
-        metric=params.metric,
+        metric="visual" if params.metric == "visual" else "quadric",
+        pixels=pixels,
         threads=context.threads,
         progress=context.progress,
         cancelled=context.cancelled,
@@ -99,3 +110,52 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
         if level.relaxed:
             context.warn(f"level {number} could only be reached by changing the topology")
     return replace(asset, lods=levels)
+
+
+def _quadric(asset: Asset, params: DecimateParams) -> QuadricOptions:
+    return QuadricOptions(
+        placement="endpoint" if params.collapse == "half" else params.placement,
+        weighting=params.weighting,
+        boundary_weight=params.boundary_weight,
+        seam_weight=params.seam_weight,
+        crease_weight=params.crease_weight,
+        crease_degrees=params.crease_degrees,
+        pair_distance=params.pair_distance / 100 * flatten(asset).diagonal if params.pair_distance else 0.0,
+        attribute_cost=params.attributes,
+        keep_topology=params.keep_topology,
+        may_relax=params.may_relax,
+        round_share=params.round_share,
+    )
+
+
+def _similarity(params: DecimateParams) -> SimilarityOptions | None:
+    if params.metric == "quadric" or params.metric == "visual":
+        return None
+    return SimilarityOptions(
+        metric=params.metric,
+        collapse=params.collapse,
+        reference=params.reference,
+        correspondence=params.correspondence,
+        views=params.views,
+        penalty=params.penalty,
+        spacing=params.spacing,
+        image_size=params.image_size,
+        keep_topology=params.keep_topology,
+        may_relax=params.may_relax,
+    )
+
+
+def _pixels(asset: Asset, context: Context) -> dict[int, U8]:
+    """The images that materials use as base colour, decoded; those that cannot be are told."""
+    used = set()
+    for material in asset.materials:
+        ref = material.base_color_texture
+        if ref is not None:
+            used.add(image_index(asset.document["textures"][ref.texture]))
+    pixels = {}
+    for index in sorted(i for i in used if i is not None):
+        try:
+            pixels[index] = decode_image(asset.images[index])
+        except (AssetError, LimitError) as error:
+            context.warn(f"{error}: the material's factor colour stands in for it")
+    return pixels

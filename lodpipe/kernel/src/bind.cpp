@@ -9,6 +9,7 @@
 
 #include "decimate.h"
 #include "fit.h"
+#include "similarity/similarity.h"
 #include "uv.h"
 
 namespace nb = nanobind;
@@ -205,10 +206,91 @@ nb::dict fit(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedge
   return out;
 }
 
-template <class Enum>
-auto as_int(Enum lodpipe::Options::*field) {
-  return std::pair([field](const lodpipe::Options& o) { return static_cast<int>(o.*field); },
-                   [field](lodpipe::Options& o, int value) { o.*field = static_cast<Enum>(value); });
+namespace similar = lodpipe::similarity;
+using Texels = nb::ndarray<const uint8_t, nb::numpy, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+
+// What a similarity run reads: the mesh, and what it looks like.
+struct SimilarityInput {
+  lodpipe::Input input;
+  similar::Scene scene;
+};
+
+// looks: of each row, image, luminance, alpha, first UV column, 6 of the matrix, cutoff. wraps: of each image, along u,
+// along v, nearest.
+SimilarityInput similarity_input(const Table<double>& positions, const Table<int32_t>& faces,
+                                 const Table<int32_t>& wedges, const Table<float>& values,
+                                 const Column<float>& column_weights, const std::optional<Column<float>>& importance,
+                                 const std::optional<Column<uint8_t>>& locked, const Column<int32_t>& face_look,
+                                 const Table<float>& looks, const std::vector<Texels>& images,
+                                 const Table<int32_t>& wraps, int shade_column, int uv_column) {
+  SimilarityInput out{input(positions, faces, wedges, values, column_weights, importance, locked), {}};
+  out.scene.face_look = face_look.data();
+  out.scene.shade_column = shade_column;
+  out.scene.uv_column = uv_column;
+  for (size_t i = 0; i < looks.shape(0); ++i) {
+    const float* row = looks.data() + i * looks.shape(1);
+    similar::Look look;
+    look.image = static_cast<int>(row[0]), look.luminance = row[1], look.alpha = row[2];
+    look.uv_column = static_cast<int>(row[3]);
+    std::copy_n(row + 4, 6, look.matrix);
+    look.cutoff = row[10];
+    out.scene.looks.push_back(look);
+  }
+  for (size_t i = 0; i < images.size(); ++i) {
+    const int32_t* wrap = wraps.data() + 3 * i;
+    out.scene.images.push_back({static_cast<int>(images[i].shape(1)), static_cast<int>(images[i].shape(0)),
+                                images[i].data(), wrap[0], wrap[1], wrap[2] != 0});
+  }
+  return out;
+}
+
+nb::dict similarity_decimate(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedges, Table<float> values,
+                             Column<float> column_weights, std::optional<Column<float>> importance,
+                             std::optional<Column<uint8_t>> locked, Column<int32_t> face_look, Table<float> looks,
+                             std::vector<Texels> images, Table<int32_t> wraps, int shade_column, int uv_column,
+                             std::vector<int64_t> targets, std::function<bool(int64_t, int64_t)> progress,
+                             const similar::Options& options) {
+  SimilarityInput in = similarity_input(positions, faces, wedges, values, column_weights, importance, locked, face_look,
+                                        looks, images, wraps, shade_column, uv_column);
+  in.input.targets = std::move(targets);
+  similar::Outcome made;
+  {
+    nb::gil_scoped_release release;
+    made = similar::simplify(in.input, in.scene, options, [&](int64_t done, int64_t total) {
+      nb::gil_scoped_acquire acquire;
+      return progress(done, total);
+    });
+  }
+  const size_t columns = in.input.columns;
+  nb::list levels;
+  for (lodpipe::Level& l : made.result.levels) levels.append(level(l, columns));
+  nb::dict out;
+  out["levels"] = levels;
+  if (options.record) out["record"] = record(made.result.record, columns);
+  out["costs"] = give(made.costs, 0);
+  out["evaluations"] = made.evaluations;
+  return out;
+}
+
+nb::dict similarity_costs(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedges, Table<float> values,
+                          Column<float> column_weights, std::optional<Column<float>> importance,
+                          std::optional<Column<uint8_t>> locked, Column<int32_t> face_look, Table<float> looks,
+                          std::vector<Texels> images, Table<int32_t> wraps, int shade_column, int uv_column,
+                          const similar::Options& options) {
+  const SimilarityInput in = similarity_input(positions, faces, wedges, values, column_weights, importance, locked,
+                                              face_look, looks, images, wraps, shade_column, uv_column);
+  similar::Costs made = similar::costs(in.input, in.scene, options);
+  nb::dict out;
+  out["pairs"] = give(made.pairs, 2);
+  out["cost"] = give(made.cost, 0);
+  out["places"] = give(made.places, 3);
+  return out;
+}
+
+template <class Options, class Enum>
+auto as_int(Enum Options::*field) {
+  return std::pair([field](const Options& o) { return static_cast<int>(o.*field); },
+                   [field](Options& o, int value) { o.*field = static_cast<Enum>(value); });
 }
 
 }  // namespace
@@ -263,4 +345,34 @@ NB_MODULE(_native, m) {
   m.def("fit", &fit, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(), "values"_a.noconvert(),
         "level_positions"_a.noconvert(), "level_faces"_a.noconvert(), "level_wedges"_a.noconvert(),
         "level_values"_a.noconvert(), "importance"_a.noconvert().none(), "wedge_to"_a.noconvert(), "go_on"_a, "options"_a);
+
+  const auto [get_metric, set_metric] = as_int(&similar::Options::metric);
+  const auto [get_reference, set_reference] = as_int(&similar::Options::reference);
+  const auto [get_correspondence, set_correspondence] = as_int(&similar::Options::correspondence);
+  const auto [get_penalty, set_penalty] = as_int(&similar::Options::penalty);
+  nb::class_<similar::Options>(m, "SimilarityOptions")
+      .def(nb::init<>())
+      .def_prop_rw("metric", get_metric, set_metric)
+      .def_rw("full", &similar::Options::full)
+      .def_prop_rw("reference", get_reference, set_reference)
+      .def_prop_rw("correspondence", get_correspondence, set_correspondence)
+      .def_rw("views", &similar::Options::views)
+      .def_rw("spacing", &similar::Options::spacing)
+      .def_prop_rw("penalty", get_penalty, set_penalty)
+      .def_rw("image_size", &similar::Options::image_size)
+      .def_rw("flip_cos", &similar::Options::flip_cos)
+      .def_rw("keep_topology", &similar::Options::keep_topology)
+      .def_rw("may_relax", &similar::Options::may_relax)
+      .def_rw("cross_seams", &similar::Options::cross_seams)
+      .def_rw("keep_last", &similar::Options::keep_last)
+      .def_rw("threads", &similar::Options::threads)
+      .def_rw("record", &similar::Options::record);
+  m.def("similarity_decimate", &similarity_decimate, "positions"_a.noconvert(), "faces"_a.noconvert(),
+        "wedges"_a.noconvert(), "values"_a.noconvert(), "column_weights"_a.noconvert(), "importance"_a.noconvert().none(),
+        "locked"_a.noconvert().none(), "face_look"_a.noconvert(), "looks"_a.noconvert(), "images"_a, "wraps"_a.noconvert(),
+        "shade_column"_a, "uv_column"_a, "targets"_a, "progress"_a, "options"_a);
+  m.def("similarity_costs", &similarity_costs, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(),
+        "values"_a.noconvert(), "column_weights"_a.noconvert(), "importance"_a.noconvert().none(),
+        "locked"_a.noconvert().none(), "face_look"_a.noconvert(), "looks"_a.noconvert(), "images"_a, "wraps"_a.noconvert(),
+        "shade_column"_a, "uv_column"_a, "options"_a);
 }
