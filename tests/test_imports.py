@@ -31,9 +31,9 @@ MAY_IMPORT: dict[str, str] = {
 }
 """What each part may import besides itself, and with that all it may depend on; `lodpipe` is the bare package."""
 
-ONLY_IN = {
+ONLY_IN: dict[str, str | tuple[str, ...]] = {
     "open3d": "lodpipe/o3d.py",
-    "lodpipe.kernel._native": "lodpipe/kernel/__init__.py",
+    "lodpipe.kernel._native": ("lodpipe/kernel/__init__.py", "lodpipe/kernel/layout.py"),
     "sqlite3": "lodpipe/service/",
     "signal": "lodpipe/service/",
     "multiprocessing": "lodpipe/service/",

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from lodpipe import kernel
 from lodpipe.core.mesh import F64, I32, Mesh
 from lodpipe.geometry.flatten import Bool
+from lodpipe.kernel import layout
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +44,7 @@ class Charts:
     @cached_property
     def borders(self) -> I32:
         """(B, 2) int32: the edges at which a chart ends, as row of `uv` and the corner from which the edge runs."""
-        edges, _ = _edges(self.corners)
-        _, inverse, count = np.unique(edges, return_inverse=True, return_counts=True)
-        single = np.flatnonzero(count[inverse] == 1)
-        return np.stack([single // 3, single % 3], axis=1).astype(np.int32)
+        return borders_of(self.corners)
 
     @cached_property
     def chart_group(self) -> I32:
@@ -87,7 +84,15 @@ def charts_of(mesh: Mesh, name: str = "TEXCOORD_0") -> Charts:
     number = _numbers(owner + wedge_group * len(mesh.positions), place)
     corners = np.ascontiguousarray(number[wedges])
     uv = values[:, :2].astype(np.float64)[wedges]
-    return Charts(rows, uv, corners, group.astype(np.int32), kernel.chart_labels(corners))
+    return Charts(rows, uv, corners, group.astype(np.int32), layout.chart_labels(corners))
+
+
+def borders_of(corners: I32) -> I32:
+    """(B, 2) int32: the sides that only one of `corners` (F, 3) has, as row and corner from which the side runs."""
+    edges, _ = _edges(corners)
+    _, inverse, count = np.unique(edges, return_inverse=True, return_counts=True)
+    single = np.flatnonzero(count[inverse] == 1)
+    return np.stack([single // 3, single % 3], axis=1).astype(np.int32)
 
 
 def seam_edges(mesh: Mesh, charts: Charts) -> I32:

@@ -262,13 +262,13 @@ class Model:
                 uv = coordinates[0][self.soup.wedges][:, :, :2]
                 stored = self._attribute("TANGENT")
                 without = coordinates[1] if stored is None else coordinates[1] & ~stored[1]
-                made = corner_tangents(
+                rows = np.flatnonzero(without)
+                made = np.zeros((len(self.faces), 3, 4), np.float32)
+                made[rows] = corner_tangents(
                     self.positions,
-                    self.faces,
-                    self.soup.wedges,
-                    np.nan_to_num(uv, posinf=0.0, neginf=0.0),
-                    self._corner_normals(every),
-                    np.flatnonzero(without),
+                    self.faces[rows],
+                    self._corner_normals(every)[rows],
+                    np.nan_to_num(uv[rows], posinf=0.0, neginf=0.0),
                 )
                 if stored is not None:
                     made[stored[1]] = stored[0][self.soup.wedges[stored[1]]]

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lodpipe import kernel
 from lodpipe.core.asset import Asset
 from lodpipe.core.material import texture_ref
 from lodpipe.core.mesh import F64, I32, Mesh
@@ -15,6 +14,7 @@ from lodpipe.geometry.charts import Charts, charts_of, seam_edges
 from lodpipe.geometry.flatten import Bool
 from lodpipe.geometry.surface import image_index
 from lodpipe.geometry.topology import flat_faces, without_area
+from lodpipe.kernel import layout
 
 NO_TEXTURE = (1024, 1024)
 """Texels by which layouts without a texture are measured."""
@@ -153,14 +153,17 @@ def min_gutter(charts: Charts, texels: F64, reach: float = REACH) -> float:
     rows, sides = charts.borders[:, 0], charts.borders[:, 1]
     ends = np.stack([charts.uv[rows, sides], charts.uv[rows, (sides + 1) % 3]], axis=1) * texels[rows][:, None]
     groups = int(charts.group.max(initial=-1)) + 1
-    gaps = kernel.uv_gaps(ends, charts.label[rows], charts.group[rows], groups, reach)
+    gaps = layout.uv_gaps(ends, charts.label[rows], charts.group[rows], groups, reach)
     return float(gaps.min(initial=reach))
 
 
 def bleeding_mip(gutter: float) -> int:
-    """The first mip level at which the filters of two charts `gutter` texels apart meet: each takes a texel of it."""
+    """The first mip level at which filters mix two charts that are `gutter` texels apart.
+
+    At a chart's border a bilinear filter reaches a texel's centre one texel away, which stands for half a texel more.
+    """
     level = 0
-    while 2 * 2**level <= gutter * (1 + 1e-5):  # UVs are rounded
+    while 3 * 2**level <= gutter * (1 + 1e-5):  # UVs are rounded
         level += 1
     return level
 
@@ -179,16 +182,16 @@ def chart_thickness(charts: Charts, texels: F64) -> F64:
 def _overlap(charts: Charts) -> tuple[float, str]:
     if not len(charts.rows):
         return 0.0, "none"
-    found = kernel.uv_overlaps(charts.uv, charts.label, charts.group)
+    found = layout.uv_overlaps(charts.uv, charts.label, charts.group)
     if not len(found.charts) and found.complete:
         return 0.0, "none"
-    covered, doubled = kernel.uv_coverage(charts.uv, charts.group).sum(axis=0)
+    covered, doubled = layout.uv_coverage(charts.uv, charts.group).sum(axis=0)
     # what lies between two scan lines is an overlap all the same
     doubled = min(max(doubled, float(found.area.sum(axis=1).max(initial=0.0))), covered)
     return 100 * float(doubled / covered) if covered > 0 else 100.0, _kind(charts, found)
 
 
-def _kind(charts: Charts, found: kernel.UvOverlaps) -> str:
+def _kind(charts: Charts, found: layout.UvOverlaps) -> str:
     """What most of the overlapping area is."""
     if not len(found.charts):
         return "accident"  # too many pairs to look at

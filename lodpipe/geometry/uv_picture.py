@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodpipe import kernel
 from lodpipe.core.mesh import F64, Mesh
 from lodpipe.geometry.charts import Charts, charts_of
 from lodpipe.geometry.texture import U8
+from lodpipe.kernel import layout
 
 PAPER = (247, 247, 248)
 OUTSIDE = (228, 228, 232)
@@ -37,12 +37,12 @@ def uv_picture(mesh: Mesh, name: str = "TEXCOORD_0", size: int = 512, material: 
     picture = _ground(size, low, to_picture)
     if not len(uv):
         return picture
-    lapping = kernel.uv_overlaps(charts.uv, charts.label, charts.group, limit=20_000_000).faces
+    lapping = layout.uv_overlaps(charts.uv, charts.label, charts.group, limit=20_000_000).faces
     order = np.argsort(~lapping, kind="stable")  # where faces lie on one another, the first of them is seen
     fills = np.where((charts.doubled_area > 0)[:, None], FLIPPED, PLAIN)
     fills[lapping] = OVERLAPPED
     window = (0, 0, size, size)
-    seen = kernel.uv_raster(uv[order], np.zeros((0, 2), np.int32), window)
+    seen = layout.uv_raster(uv[order], np.zeros((0, 2), np.int32), window)
     picture[seen.inside] = fills[order][seen.faces[seen.inside]]
     sides = np.stack([np.repeat(np.arange(len(uv)), 3), np.tile(np.arange(3), len(uv))], axis=1).astype(np.int32)
     if len(uv) * 40 < size * size:  # more edges than that would hide the faces
@@ -55,7 +55,7 @@ def _draw(picture: U8, uv: F64, sides: np.ndarray, reach: float, colour: tuple[i
     flat = np.repeat(uv[sides[:, 0], sides[:, 1]][:, None], 3, axis=1)
     flat[:, 1] = uv[sides[:, 0], (sides[:, 1] + 1) % 3]
     edges = np.stack([np.arange(len(sides)), np.zeros(len(sides))], axis=1).astype(np.int32)
-    near = kernel.uv_raster(flat, edges, (0, 0, *picture.shape[1::-1]), reach)
+    near = layout.uv_raster(flat, edges, (0, 0, *picture.shape[1::-1]), reach)
     picture[near.faces >= 0] = colour
 
 

@@ -10,7 +10,7 @@ from lodpipe.core.mesh import F64, I32
 
 
 def chart_labels(corners: I32) -> I32:
-    """See `lodpipe.kernel.chart_labels`."""
+    """See `lodpipe.kernel.layout.chart_labels`."""
     label = np.arange(len(corners))
     sides = [{frozenset((int(a), int(b))) for a, b in zip(t, np.roll(t, -1), strict=True) if a != b} for t in corners]
     for a, b in combinations(range(len(corners)), 2):

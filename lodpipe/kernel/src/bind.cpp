@@ -128,6 +128,15 @@ nb::object chart_labels(Table<int32_t> faces) {
   return give(labels, 0);
 }
 
+nb::object join_pairs(Table<int32_t> pairs, int nodes) {
+  std::vector<int32_t> labels;
+  {
+    nb::gil_scoped_release release;
+    labels = lodpipe::join_pairs(pairs.data(), static_cast<int>(pairs.shape(0)), nodes);
+  }
+  return give(labels, 0);
+}
+
 nb::dict uv_overlaps(Table<double> uv, Column<int32_t> chart, Column<int32_t> group, double slack, int64_t limit) {
   lodpipe::UvOverlaps found;
   {
@@ -203,6 +212,20 @@ nb::dict fit(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedge
   out["positions"] = give(result.positions, 3);
   if (in.columns) out["values"] = give(result.values, in.columns);
   out["moved"] = give(result.moved, 0);
+  return out;
+}
+
+nb::dict uv_pack(Table<double> uv, Column<int32_t> chart, int charts, int width, int height, double padding, int cells,
+                 double largest) {
+  lodpipe::UvPacking found;
+  {
+    nb::gil_scoped_release release;
+    found = lodpipe::uv_pack(uv_faces(uv, chart, chart), charts, width, height, padding, cells, largest);
+  }
+  nb::dict out;
+  out["scale"] = found.scale;
+  out["corner"] = give(found.corner, 2);
+  out["turn"] = give(found.turn, 0);
   return out;
 }
 
@@ -335,11 +358,14 @@ NB_MODULE(_native, m) {
         "values"_a.noconvert(), "column_weights"_a.noconvert(), "importance"_a.noconvert().none(),
         "locked"_a.noconvert().none(), "options"_a);
   m.def("chart_labels", &chart_labels, "faces"_a.noconvert());
+  m.def("join_pairs", &join_pairs, "pairs"_a.noconvert(), "nodes"_a);
   m.def("uv_overlaps", &uv_overlaps, "uv"_a.noconvert(), "chart"_a.noconvert(), "group"_a.noconvert(), "slack"_a,
         "limit"_a);
   m.def("uv_coverage", &uv_coverage, "uv"_a.noconvert(), "group"_a.noconvert(), "groups"_a, "lines"_a);
   m.def("uv_gaps", &uv_gaps, "segments"_a.noconvert(), "chart"_a.noconvert(), "group"_a.noconvert(), "groups"_a,
         "reach"_a);
+  m.def("uv_pack", &uv_pack, "uv"_a.noconvert(), "chart"_a.noconvert(), "charts"_a, "width"_a, "height"_a, "padding"_a,
+        "cells"_a, "largest"_a);
   m.def("uv_raster", &uv_raster, "uv"_a.noconvert(), "edges"_a.noconvert(), "left"_a, "top"_a, "width"_a, "height"_a,
         "reach"_a, "threads"_a);
   m.def("fit", &fit, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(), "values"_a.noconvert(),

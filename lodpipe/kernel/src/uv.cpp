@@ -224,6 +224,21 @@ std::vector<int32_t> chart_labels(const int32_t* faces, int count) {
   return label;
 }
 
+std::vector<int32_t> join_pairs(const int32_t* pairs, int count, int nodes) {
+  std::vector<int32_t> parent(nodes);
+  std::iota(parent.begin(), parent.end(), 0);
+  const auto root = [&](int32_t n) {
+    while (parent[n] != n) n = parent[n] = parent[parent[n]];
+    return n;
+  };
+  for (int i = 0; i < count; ++i) {
+    const int32_t a = root(pairs[2 * i]), b = root(pairs[2 * i + 1]);
+    parent[std::max(a, b)] = std::min(a, b);
+  }
+  for (int n = 0; n < nodes; ++n) parent[n] = root(n);
+  return parent;
+}
+
 UvOverlaps uv_overlaps(const UvFaces& in, double slack, int64_t limit) {
   UvOverlaps out;
   out.faces.assign(in.count, 0);

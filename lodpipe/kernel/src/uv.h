@@ -9,6 +9,9 @@ namespace lodpipe {
 // corners; faces that share two corners share an edge.
 std::vector<int32_t> chart_labels(const int32_t* faces, int count);
 
+// (nodes,) the lowest node of each node's connected part; `pairs` holds 2·count nodes.
+std::vector<int32_t> join_pairs(const int32_t* pairs, int count, int nodes);
+
 // Triangles in the plane: 6 doubles each, of a chart and a group; only those of one group are compared.
 struct UvFaces {
   const double* uv;
@@ -43,5 +46,14 @@ struct UvRaster {
 };
 UvRaster uv_raster(const double* uv, int count, const int32_t* edges, int edge_count, int left, int top, int width,
                    int height, double reach, int threads);
+
+// Puts charts side by side into a rectangle of texels, at the largest scale that fits. `uv` are triangles in any unit,
+// the lowest corner of each chart's box at the origin; charts may be turned by quarters.
+struct UvPacking {
+  double scale = 0;             // texels to a unit; 0: the charts do not fit at all
+  std::vector<double> corner;   // for each chart: where the lowest corner of its turned box goes, in texels
+  std::vector<int32_t> turn;    // quarters, counter-clockwise for a v that points up
+};
+UvPacking uv_pack(const UvFaces& in, int charts, int width, int height, double padding, int cells, double largest);
 
 }  // namespace lodpipe

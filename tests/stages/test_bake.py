@@ -1,0 +1,149 @@
+"""Stage `bake`: files that others can read, figures, and what is told."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from lodpipe import io
+from lodpipe.core.asset import Asset, Lod
+from lodpipe.core.material import Image, Material
+from lodpipe.core.mesh import Mesh, Primitive
+from lodpipe.geometry.uv_defects import uv_defects
+from lodpipe.io.images import encode_png
+from lodpipe.stage import Context
+from lodpipe.stages.bake import BakeParams, bake
+from lodpipe.stages.export import ExportParams, export
+from meshes import sphere
+
+
+def board() -> np.ndarray:
+    at = np.arange(64)
+    return np.stack([at[None] * 4 + at[:, None] * 0, at[:, None] * 4 + at[None] * 0, np.full((64, 64), 90)], 2).astype(
+        np.uint8
+    )
+
+
+def ball(divisions: int, material: int = 0, reason: str = "") -> Mesh:
+    """A sphere whose UVs are its x and y, one half on the other."""
+    positions, faces = sphere(divisions)
+    uv = (positions[:, :2] * 0.5 + 0.5).astype(np.float32)
+    primitive = Primitive(material, ("TEXCOORD_0", "NORMAL"))
+    attributes = {"TEXCOORD_0": uv, "NORMAL": positions.astype(np.float32)}
+    return Mesh(positions, faces, attributes=attributes, primitives=(primitive,), name="ball", keep_reason=reason)
+
+
+def two_levels(data: bytes | None = None, reason: str = "") -> Asset:
+    image = Image(encode_png(board()) if data is None else data, "image/png", "board", "board.png", 64, 64)
+    paint = Material({"name": "paint", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}})
+    fine, coarse = ball(4, reason=reason), ball(1, reason=reason)
+    document = {"textures": [{"source": 0, "sampler": 0}], "samplers": [{"wrapS": 33071}]}
+    levels = (Lod((fine,)), Lod((coarse,), estimate=1.0))
+    return Asset("ball", (fine,), (paint,), (image,), document, lods=levels)
+
+
+def run(asset: Asset, **params):
+    context = Context(threads=1)
+    return bake(asset, BakeParams(**params), context), context
+
+
+@pytest.mark.parametrize("merge", [False, True])
+def test_a_level_with_textures_of_its_own_goes_through_files(tmp_path, merge):
+    baked, context = run(two_levels(), size=128, merge_materials=merge)
+    output = Context(output=tmp_path)
+    export(baked, ExportParams(combined=True), output)
+    level = io.load(tmp_path / "LOD1" / "ball_LOD1.glb")
+    assert level.warnings == ()
+    assert {(image.width, image.height) for image in level.images} == {(128, 128)}
+    (mesh,) = level.meshes
+    assert set(mesh.attributes) == {"TEXCOORD_0", "NORMAL", "TANGENT"}
+    (figures,) = uv_defects(mesh)
+    assert (figures.overlap_percent, figures.out_of_range_percent, figures.missing_faces) == (0, 0, 0)
+    assert figures.flipped_percent == 0
+    (material,) = level.materials
+    assert material.name == "paint"
+    assert material.normal_texture is not None
+    recorded = {m.name: m.value for m in context.measurements}
+    assert recorded["lod1.size"] == 128
+    assert recorded["lod1.missed"] < 1
+    source = io.load(tmp_path / "LOD0" / "ball_LOD0.glb")
+    assert source.images[0].data == two_levels().images[0].data
+    assert len(io.load(tmp_path / "ball.glb").images) == 3
+
+
+def test_the_baked_colours_are_the_source_s():
+    baked, _ = run(two_levels(), size=128, maps=("base_color",))
+    level = baked.at(baked.lods[1])
+    pixels = io.decode_image(level.images[0])
+    mesh = level.meshes[0]
+    rng = np.random.default_rng(0)
+    faces, weights = rng.integers(0, len(mesh.faces), 500), rng.dirichlet((1, 1, 1), 500)
+    uv = np.einsum("nkd,nk->nd", mesh.attributes["TEXCOORD_0"][mesh.wedges[faces]], weights)
+    points = np.einsum("nkd,nk->nd", mesh.positions[mesh.faces[faces]], weights)
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    seen = pixels[(uv[:, 1] * 128).astype(int), (uv[:, 0] * 128).astype(int)].astype(float)
+    wanted = (points[:, :2] * 0.5 + 0.5) * 256
+    # a ray along the smooth normal does not end right below the middle of a flat face
+    assert np.abs(seen[:, :2] - wanted).mean() < 6
+    assert np.abs(seen[:, 2] - 90).max() <= 1
+
+
+def test_sizes_by_level_and_by_screen():
+    asset = two_levels()
+    three = dataclasses.replace(asset, lods=(*asset.lods, Lod((ball(1),), estimate=8.0)))
+    listed, _ = run(three, size=(64, 32), maps=("base_color",))
+    assert [level.own.images[0].width for level in listed.lods[1:]] == [64, 32]
+    big = dataclasses.replace(asset.images[0], width=4096, height=4096)
+    automatic, _ = run(dataclasses.replace(three, images=(big,)), maps=("base_color",))
+    first, second = (level.own.images[0].width for level in automatic.lods[1:])
+    assert first > second >= 64
+
+
+@pytest.mark.parametrize(("kind", "mime"), [("jpeg", "image/jpeg"), ("webp", "image/webp"), ("png", "image/png")])
+def test_formats(kind, mime, tmp_path):
+    baked, _ = run(two_levels(), size=64, format=kind)
+    colour, normal = baked.lods[1].own.images
+    assert colour.mime_type == mime
+    assert normal.mime_type == ("image/png" if kind == "jpeg" else mime)
+    export(baked, ExportParams(formats=("gltf",)), Context(output=tmp_path))
+    assert io.load(tmp_path / "LOD1" / "ball_LOD1.gltf").warnings == ()
+
+
+def test_ktx2_without_a_tool_is_told(monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    baked, context = run(two_levels(), size=64, format="ktx2", maps=("base_color",))
+    assert baked.lods[1].own.images[0].mime_type == "image/png"
+    assert "PNG is written" in " ".join(context.warnings)
+
+
+def test_meshes_that_are_kept_keep_their_textures(tmp_path):
+    baked, context = run(two_levels(reason="morph targets"), size=64)
+    assert "keeps its textures: morph targets" in " ".join(context.warnings)
+    level = baked.at(baked.lods[1])
+    assert [material.name for material in level.materials] == ["paint"]
+    assert level.images[0].data == two_levels().images[0].data
+    assert level.document["textures"][0]["source"] == 0
+
+
+def test_a_broken_image_is_told_and_its_factor_baked():
+    _, context = run(two_levels(data=b"\x89PNG\r\n\x1a\nrubbish"), size=64)
+    assert "its place in baked textures holds the factors alone" in " ".join(context.warnings)
+
+
+def test_without_levels_nothing_happens():
+    asset = dataclasses.replace(two_levels(), lods=())
+    assert run(asset)[0] is asset
+
+
+def test_the_same_bytes_for_any_number_of_threads():
+    first = bake(two_levels(), BakeParams(size=64), Context(threads=1)).fingerprint()
+    assert bake(two_levels(), BakeParams(size=64), Context(threads=3)).fingerprint() == first
+
+
+@pytest.mark.parametrize("params", [{"size": 3}, {"size": "huge"}, {"padding": 0}, {"format": "bmp"}, {"quality": 0}])
+def test_other_parameters_are_refused(params):
+    with pytest.raises(ValidationError):
+        BakeParams(**params)
