@@ -42,7 +42,8 @@ class Layer:
     """What is seen, in a sentence."""
     scale: Scale
     models: dict[int, str]
-    """For each level that has it the preview's name in `Page.files`; of all levels if it is the same for all."""
+    """For each level that has it the preview's name in `Page.files`. Without one for level 0 its textured model stands
+    beside the others."""
 
 
 @dataclass

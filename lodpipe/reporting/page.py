@@ -129,28 +129,41 @@ def level_columns(data: dict[str, Any]) -> list[tuple[str, str, list[str]]]:
     """Heading, explanation and a cell for each level, of the figures that at least one level has."""
     lods = data["lods"]
     base = max(1, data["source"].get("triangles") or (lods[0]["triangles"] if lods else 1))
-    every: list[tuple[str, str, list[str]]] = [
+    every = [
         ("Triangles", "stored in the file", [number(lod["triangles"]) for lod in lods]),
         ("Share", "of the source's triangles", [f"{100 * lod['triangles'] / base:.3g} %" for lod in lods]),
-        ("Vertices", "as a GPU sees them", [number(lod["vertices"]) for lod in lods]),
-        ("On disk", "all files of the level", [size(lod["bytes"]) if lod["files"] else "–" for lod in lods]),
+        ("On disk", "all files of the level", [_download(lod) for lod in lods]),
     ]
     for heading, about, part, key, form in _FIGURES:
-        values = [(lod[part] or {}).get(key) for lod in lods]
+        values = [(lod[part] or {}).get(key) if part else lod[key] for lod in lods]
         if any(value is not None for value in values):
             every.append((heading, about, [form.format(number(v)) if v is not None else "–" for v in values]))
+    if any(lod["stop_reason"] not in ("source", "target") for lod in lods):
+        every.append(("Stopped by", "what ended the level's making", [lod["stop_reason"] for lod in lods]))
     return every
+
+
+def _download(lod: dict[str, Any]) -> str:
+    """The size of a level's files; a link where it is one file."""
+    from markupsafe import Markup
+
+    if not lod["files"]:
+        return "–"
+    if len(lod["files"]) > 1:
+        return size(lod["bytes"])
+    return Markup('<a href="{}" download>{}</a>').format(href(lod["files"][0]), size(lod["bytes"]))
 
 
 _FIGURES = (
     ("Mean error", "mean distance, % of the bounding box's diagonal", "error", "mean", "{} %"),
     ("Max error", "Hausdorff distance, % of the diagonal", "error", "max", "{} %"),
-    ("Normals", "mean deviation of the normals", "error", "normal_degrees", "{}°"),
     ("PSNR", "of renders beside the source's, in dB: more is better", "visual", "psnr", "{} dB"),
     ("SSIM", "structural similarity of the renders, 1 is the same", "visual", "ssim", "{}"),
     ("FLIP", "perceived difference of the renders, 0 is the same", "visual", "flip", "{}"),
-    ("Silhouette", "intersection over union, 1 is the same", "visual", "silhouette_iou", "{}"),
-    ("From distance", "where the level may take over (60° field of view)", "switch", "distance", "{}"),
+    ("Silhouette", "overlap of the silhouettes, 1 is the same", "visual", "silhouette_iou", "{}"),
+    ("Normals", "mean deviation of the normals", "error", "normal_degrees", "{}°"),
+    ("Vertices", "as a GPU sees them", "", "vertices", "{}"),
+    ("Screen", "share of the screen's height below which the level may be used", "switch", "screen_coverage", "{}"),
 )
 
 
@@ -177,7 +190,7 @@ def _shown(page: Page) -> dict[str, Any]:
     return {
         "models": page.models,
         "standIns": page.stand_ins,
-        "layers": [{"name": one.name, "models": one.models} for one in page.layers],
+        "layers": [{"name": one.name, "models": one.models, "beside": 0 not in one.models} for one in page.layers],
     }
 
 

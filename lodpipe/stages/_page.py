@@ -124,7 +124,6 @@ def _layers(asset: Asset, levels: dict[int, Asset], shape: Asset, previews: Prev
     if not distances:
         return []
     top = float(max(np.quantile(values, 0.995) for values in distances.values()))
-    distances[0] = np.zeros(len(surface.positions))
     models = {}
     for number, values in sorted(distances.items()):
         linear = np.rint(to_linear(ramp(place(values, top)) / 255.0) * 255).astype(np.uint8)

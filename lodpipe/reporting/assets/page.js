@@ -79,7 +79,7 @@
 
   const source = remembered(async (key) => {
     const [look, level] = key.split(" ");
-    const layer = shown.layers.find((one) => one.name === look);
+    const layer = layerNamed(look);
     const gltf = structuredClone(await tree((layer ? layer.models : shown.models)[level]));
     if (look === "clay") plain(gltf);
     if (look === "checker") plain(gltf, await checker(""));
@@ -101,6 +101,10 @@
     viewer: null,
     level: () => (side === "left" ? 0 : state.level),
   }));
+
+  const layerNamed = (look) => shown.layers.find((one) => one.name === look);
+  // beside the colours of a level stands the source as it looks
+  const lookOf = (pane) => (pane === panes[0] && layerNamed(state.look)?.beside ? "textured" : state.look);
 
   function sceneOf(viewer) {
     const symbol = Object.getOwnPropertySymbols(viewer).find((one) => one.description === "scene");
@@ -213,14 +217,15 @@
         pane.still.replaceChildren(copy);
       }
       if (!pane.viewer) continue;
-      const layer = shown.layers.find((one) => one.name === state.look);
+      const look = lookOf(pane);
+      const layer = layerNamed(look);
       const known = (layer ? layer.models : shown.models)[level];
       pane.viewer.hidden = !known;
       if (!known) pane.still.hidden = false;
-      const wanted = `${state.look} ${level}`;
+      const wanted = `${look} ${level}`;
       if (!known || pane.viewer.dataset.wanted === wanted) continue;
       pane.viewer.dataset.wanted = wanted;
-      pane.viewer.alt = `${asset}, ${title}, ${lines[0]}, ${state.look}`;
+      pane.viewer.alt = `${asset}, ${title}, ${lines[0]}, ${look}`;
       const url = await source(wanted);
       if (pane.viewer.dataset.wanted === wanted) pane.viewer.src = url;
     }
