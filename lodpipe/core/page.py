@@ -25,11 +25,13 @@ class Picture:
 
 @dataclass(frozen=True)
 class Scale:
-    """What the colours of a layer mean: `colors` (sRGB, ``#rrggbb``) spread evenly, with words at some of them."""
+    """What a layer's colours mean: `colors` (sRGB, ``#rrggbb``) spread evenly from 0 to 1, or one for each label."""
 
     colors: tuple[str, ...]
-    ticks: tuple[tuple[float, str], ...]
+    ticks: tuple[tuple[float, str], ...] = ()
     """Place on the scale, 0…1, and what stands there."""
+    labels: tuple[str, ...] = ()
+    """What each colour stands for, where they are no scale."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lodpipe.core.mesh import F32, F64
+from lodpipe.core.mesh import F32, F64, I32
 from lodpipe.geometry.flatten import Soup
 from lodpipe.geometry.texture import U8
 
@@ -44,17 +44,31 @@ def distance_to(source: Soup, level: Soup, points: F64 | None = None, threads: i
     """Distance of each vertex of `source` (or of `points` (N, 3)) to the surface of `level`, in % of the source's
     bounding-box diagonal. Raises ValueError for a level without triangles.
     """
+    asked, found, _ = _closest(source, level, source.positions if points is None else points, threads)
+    distance: F64 = 100.0 * np.linalg.norm(found.astype(np.float64) - asked, axis=1)
+    return distance
+
+
+def nearest_vertices(source: Soup, points: F64, threads: int = 0) -> I32:
+    """(N,) rows of the source's positions: of the triangle nearest to each of `points` (N, 3), the nearest corner."""
+    asked, _, faces = _closest(source, source, points, threads)
+    low, high = source.bounds
+    corners = (source.positions[source.faces[faces]] - (low + (high - low) / 2)) / (source.diagonal or 1.0)
+    best = np.square(corners - asked[:, None]).sum(axis=2).argmin(axis=1)
+    rows: I32 = source.faces[faces, best]
+    return rows
+
+
+def _closest(frame: Soup, surface: Soup, points: F64, threads: int) -> tuple[F32, F32, I32]:
+    """`points`, their closest points on `surface` (N, 3), in the frame's diagonals about its centre; the faces (N,)."""
     from lodpipe.o3d import RayScene
 
-    low, high = source.bounds
-    centre, scale = low + (high - low) / 2, source.diagonal or 1.0
-    scene = RayScene(((level.positions - centre) / scale).astype(np.float32), level.faces, threads)
-    asked = ((source.positions if points is None else points) - centre) / scale
-    distance = np.empty(len(asked))
-    for start in range(0, len(asked), BATCH):
-        part = asked[start : start + BATCH].astype(np.float32)
-        distance[start : start + BATCH] = np.linalg.norm(scene.closest(part)[0].astype(np.float64) - part, axis=1)
-    return 100.0 * distance
+    low, high = frame.bounds
+    centre, scale = low + (high - low) / 2, frame.diagonal or 1.0
+    scene = RayScene(((surface.positions - centre) / scale).astype(np.float32), surface.faces, threads)
+    asked = ((points - centre) / scale).astype(np.float32)
+    parts = [scene.closest(asked[start : start + BATCH]) for start in range(0, max(len(asked), 1), BATCH)]
+    return asked, np.concatenate([found for found, _ in parts]), np.concatenate([faces for _, faces in parts])
 
 
 def _rgb(colour: str) -> NDArray[np.uint8]:

@@ -134,10 +134,10 @@ def level_columns(data: dict[str, Any]) -> list[tuple[str, str, list[str]]]:
         ("Share", "of the source's triangles", [f"{100 * lod['triangles'] / base:.3g} %" for lod in lods]),
         ("On disk", "all files of the level", [_download(lod) for lod in lods]),
     ]
-    for heading, about, part, key, form in _FIGURES:
+    for heading, about, part, key, form, factor in _FIGURES:
         values = [(lod[part] or {}).get(key) if part else lod[key] for lod in lods]
         if any(value is not None for value in values):
-            every.append((heading, about, [form.format(number(v)) if v is not None else "–" for v in values]))
+            every.append((heading, about, [form.format(number(v * factor)) if v is not None else "–" for v in values]))
     if any(lod["stop_reason"] not in ("source", "target") for lod in lods):
         every.append(("Stopped by", "what ended the level's making", [lod["stop_reason"] for lod in lods]))
     return every
@@ -154,17 +154,18 @@ def _download(lod: dict[str, Any]) -> str:
     return Markup('<a href="{}" download>{}</a>').format(href(lod["files"][0]), size(lod["bytes"]))
 
 
-_FIGURES = (
-    ("Mean error", "mean distance, % of the bounding box's diagonal", "error", "mean", "{} %"),
-    ("Max error", "Hausdorff distance, % of the diagonal", "error", "max", "{} %"),
-    ("PSNR", "of renders beside the source's, in dB: more is better", "visual", "psnr", "{} dB"),
-    ("SSIM", "structural similarity of the renders, 1 is the same", "visual", "ssim", "{}"),
-    ("FLIP", "perceived difference of the renders, 0 is the same", "visual", "flip", "{}"),
-    ("Silhouette", "overlap of the silhouettes, 1 is the same", "visual", "silhouette_iou", "{}"),
-    ("Normals", "mean deviation of the normals", "error", "normal_degrees", "{}°"),
-    ("Vertices", "as a GPU sees them", "", "vertices", "{}"),
-    ("Screen", "share of the screen's height below which the level may be used", "switch", "screen_coverage", "{}"),
+_FIGURES: tuple[tuple[str, str, str, str, str, float], ...] = (
+    ("Mean error", "mean distance, % of the bounding box's diagonal", "error", "mean", "{} %", 1),
+    ("Max error", "Hausdorff distance, % of the diagonal", "error", "max", "{} %", 1),
+    ("PSNR", "of renders beside the source's, in dB: more is better", "visual", "psnr", "{} dB", 1),
+    ("SSIM", "structural similarity of the renders, 1 is the same", "visual", "ssim", "{}", 1),
+    ("FLIP", "perceived difference of the renders, 0 is the same", "visual", "flip", "{}", 1),
+    ("Silhouette", "overlap of the silhouettes, 1 is the same", "visual", "silhouette_iou", "{}", 1),
+    ("Normals", "mean deviation of the normals", "error", "normal_degrees", "{}°", 1),
+    ("Vertices", "as a GPU sees them", "", "vertices", "{}", 1),
+    ("Screen", "share of the screen's height below which it may be used", "switch", "screen_coverage", "{} %", 100),
 )
+"""Heading, explanation, part of the level and name in it, how it is written, and what it is multiplied by."""
 
 
 def charts(data: dict[str, Any]) -> list[Any]:

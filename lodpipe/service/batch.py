@@ -16,6 +16,7 @@ from lodpipe.config.model import Limits
 from lodpipe.service import manifest
 from lodpipe.service.chain import Config, Settings, load_chain
 from lodpipe.service.discover import Found, find_assets
+from lodpipe.service.index import Index
 from lodpipe.service.job import REPORT, Job, Outcome, process
 from lodpipe.service.pool import run_isolated
 from lodpipe.service.publish import Output
@@ -90,9 +91,13 @@ def run(
     found, problems = find_assets(listed, root)
     listener.begin(len(found) + len(problems), len(loaded.pipeline.steps))
 
+    index = Index(root)
+
     def add(outcome: Outcome) -> None:
         batch.outcomes.append(outcome)
         listener.finished(outcome)
+        if outcome.folder:
+            index.changed()
 
     for problem in problems:
         add(Outcome(problem.place, "", "failed", "", str(problem)))
@@ -109,8 +114,11 @@ def run(
         else:
             job = job_of(asset, root, recipe, max(1, min(workers, len(found))))
             jobs.append(dataclasses.replace(job, command=_command(asset, root, config, settings, plugins)))
-    for outcome in _done(jobs, workers, len(found) > 1, listener.progress):
-        add(outcome)
+    try:
+        for outcome in _done(jobs, workers, len(found) > 1, listener.progress):
+            add(outcome)
+    finally:
+        index.settle()
     return batch
 
 

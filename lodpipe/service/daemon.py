@@ -24,6 +24,7 @@ from lodpipe.service.batch import job_of, threads_for
 from lodpipe.service.clock import Clock
 from lodpipe.service.discover import Found
 from lodpipe.service.executors import Executor
+from lodpipe.service.index import Index
 from lodpipe.service.intake import Order, Taken, take_in
 from lodpipe.service.job import AGAIN, INPUT, PASSING, Failure, Job, Outcome, fail
 from lodpipe.service.ledger import Ledger, about
@@ -82,6 +83,7 @@ class Daemon:
         self.draining = False
         self.problem = ""
         """Why nothing is done although it is not paused: the watched folder is gone, the disk is full."""
+        self.index = Index(output.root)
         self._submit, self._wake = submit, wake
         self._guard = RootGuard(root, table)
         self._ledger = Ledger(table, clock, log, root, output.root)
@@ -550,6 +552,7 @@ class Daemon:
             self._ledger.again(row, outcome.message)
         else:
             self._ledger.failed(row, outcome, self.recipe.id)
+        self.index.changed()
         # what happened to its files meanwhile was not looked at
         if self._sight.tree.get(key) is None:
             self._vanished(row)

@@ -193,6 +193,8 @@ class _Process:
                 self.log.error("the job table cannot be written (%s); trying again", error)
                 due = now + DISK_SECONDS
                 self._recover()
+            if not self.daemon.busy:
+                self.daemon.index.settle()
             self.hooks.look()
             if self.request.once and (self.daemon.finished or self.daemon.problem):
                 return self._verdict()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -14,7 +15,9 @@ from lodpipe.core.page import Layer, Page, Scale
 from lodpipe.geometry import lineup
 from lodpipe.geometry.decimate import decimate_asset
 from lodpipe.geometry.flatten import flatten
-from lodpipe.geometry.heat import RAMP, distance_to, place, ramp, value_at
+from lodpipe.geometry.heat import RAMP, distance_to, nearest_vertices, place, ramp, value_at
+from lodpipe.geometry.palette import label_colours
+from lodpipe.geometry.render import as_bytes
 from lodpipe.geometry.surface import Model
 from lodpipe.geometry.texture import U8, Textures, to_linear
 from lodpipe.io import pixels_of
@@ -25,7 +28,9 @@ from lodpipe.stage import Context
 MAX_TRIANGLES = 150_000
 """Levels with more are shown by a stand-in."""
 MAX_BYTES = 9_000_000
-"""All previews together; with what a browser's text form adds, the page stays below 15 MB."""
+"""All previews together, compressed; with what their form as text adds, the page stays below 15 MB."""
+NONE = np.array([[128, 132, 138]], np.uint8)
+"""The colour of what has no segment."""
 
 
 class Images:
@@ -87,7 +92,8 @@ def _add_models(
         shown = _shown(levels, page, context)
         for number, level in sorted(shown.items(), reverse=True):
             page.models[number] = previews.add(f"LOD{number}", images.small(level))
-        page.layers += _layers(asset, levels, shown[0], previews, context)
+        page.layers += _error(asset, levels, shown[0], previews, context)
+        page.layers += _shape_layers(asset, shown, previews, context)
         page.files = previews.files
     except Cancelled:
         raise
@@ -113,7 +119,7 @@ def _shown(levels: dict[int, Asset], page: Page, context: Context) -> dict[int, 
     return shown
 
 
-def _layers(asset: Asset, levels: dict[int, Asset], shape: Asset, previews: Previews, context: Context) -> list[Layer]:
+def _error(asset: Asset, levels: dict[int, Asset], shape: Asset, previews: Previews, context: Context) -> list[Layer]:
     """Colours on the source's surface: how far each level is from it."""
     source, surface = flatten(asset), flatten(shape)
     distances = {
@@ -124,25 +130,77 @@ def _layers(asset: Asset, levels: dict[int, Asset], shape: Asset, previews: Prev
     if not distances:
         return []
     top = float(max(np.quantile(values, 0.995) for values in distances.values()))
-    models = {}
-    for number, values in sorted(distances.items()):
-        linear = np.rint(to_linear(ramp(place(values, top)) / 255.0) * 255).astype(np.uint8)
-        models[number] = previews.add_coloured(f"error_LOD{number}", surface.positions, surface.faces, linear)
+    models = {
+        number: previews.add_coloured(
+            f"error_LOD{number}", surface.positions, surface.faces, _linear(ramp(place(values, top)))
+        )
+        for number, values in sorted(distances.items())
+    }
     ticks = tuple((at, f"{value_at(at, top):.2g} %") for at in (0.0, 1 / 3, 2 / 3, 1.0))
     about = "Distance from each point of the source to the level, in % of the bounding box's diagonal."
     return [Layer("error", "Error", about, Scale(RAMP, ticks), models)]
 
 
+def _shape_layers(asset: Asset, shown: dict[int, Asset], previews: Previews, context: Context) -> list[Layer]:
+    """Segments and weights, which stages have given to the source's vertices; each level's take the nearest one's."""
+    placed = [index for index, _ in asset.instances()]
+    found: list[tuple[str, str, str, Scale, U8]] = []
+    if asset.segments is not None:
+        rows = np.concatenate([asset.segments.vertex_segment[index] for index in placed])
+        colours = np.vstack([as_bytes(label_colours(len(asset.segments.names))), NONE])  # −1, no segment, is the last
+        scale = Scale(tuple(f"#{bytes(c).hex()}" for c in colours[:-1]), labels=asset.segments.names)
+        about = "Main bodies and branches along the skeleton."
+        found.append(("segments", "Segments", about, scale, colours[rows]))
+    if asset.importance is not None:
+        for name, about, each in (
+            ("weight", "What each vertex weighs at every budget", asset.importance.weight),
+            ("extreme", "What each vertex weighs when few triangles are left", asset.importance.extreme),
+        ):
+            values = np.log(np.concatenate([each[index] for index in placed]))
+            low, high = float(values.min()), float(values.max())
+            if high - low > 1e-6:
+                ticks = tuple((at, f"{np.exp(low + at * (high - low)):.2g}") for at in (0.0, 0.5, 1.0))
+                scale = Scale(RAMP, ticks)
+                found.append((name, name.capitalize(), f"{about}.", scale, ramp((values - low) / (high - low))))
+    if not found:
+        return []
+    source = flatten(asset)
+    surfaces = {number: flatten(level) for number, level in shown.items()}
+    nearest = {n: nearest_vertices(source, surface.positions, context.threads) for n, surface in surfaces.items()}
+    return [
+        Layer(
+            name,
+            title,
+            about,
+            scale,
+            {
+                number: previews.add_coloured(
+                    f"{name}_LOD{number}", surface.positions, surface.faces, _linear(colours[nearest[number]])
+                )
+                for number, surface in surfaces.items()
+            },
+        )
+        for name, title, about, scale, colours in found
+    ]
+
+
+def _linear(colours: U8) -> U8:
+    """sRGB colours as glTF wants them at vertices."""
+    linear: U8 = np.rint(to_linear(colours / 255.0) * 255).astype(np.uint8)
+    return linear
+
+
 def _bound(page: Page) -> None:
     """Keep the page small: leave out layers first, then the finest models."""
+    sizes = {name: len(zlib.compress(data, 1)) for name, data in page.files.items()}
 
     def size() -> int:
-        return sum(map(len, page.files.values()))
+        return sum(sizes[name] for name in page.files)
 
-    if size() > MAX_BYTES and page.layers:
-        page.notes.append("The error is not shown in 3-D: its models are too large for a page.")
-        _drop(page, {name for layer in page.layers for name in layer.models.values()})
-        page.layers = []
+    while size() > MAX_BYTES and page.layers:
+        layer = page.layers.pop()
+        page.notes.append(f"{layer.title}: not shown in 3-D, the models are too large for a page.")
+        _drop(page, set(layer.models.values()))
     for number in sorted(page.models):
         if size() > MAX_BYTES:
             page.notes.append(f"Level {number} is not shown in 3-D: it is too large for a page.")
