@@ -134,6 +134,8 @@ def summary(result: Result, style: Style) -> list[str]:
     failed = [entry for entry in report.get("budgets", ()) if not entry["ok"]]
     lines += [style(f"  over budget: {_budget(entry)}", "red") for entry in failed]
     lines += [style("  warning: ", "yellow") + clean(text) for text in warnings_of(report)]
+    if report.get("images"):
+        lines.append(clean(f"  look at {result.folder}/report.html"))
     return lines
 
 
@@ -171,12 +173,15 @@ def _levels(report: dict[str, Any]) -> list[str]:
     if not levels:
         return []
     base = max(1, report.get("source", {}).get("triangles", 0) or levels[0]["triangles"])
-    head = (">level", ">triangles", ">%", ">vertices", ">size", ">mean error %", ">max error %", "stopped by")
+    seen = [level.get("visual") or {} for level in levels]
+    measured = [(heading, key) for heading, key in _SEEN if any(figures.get(key) is not None for figures in seen)]
+    head = [">level", ">triangles", ">%", ">vertices", ">size", ">mean error %", ">max error %"]
+    head += [*(f">{heading}" for heading, _ in measured), "stopped by"]
     rows = []
-    for level in levels:
+    for level, figures in zip(levels, seen, strict=True):
         error = level["error"] or {}
         rows.append(
-            (
+            [
                 str(level["level"]),
                 number(level["triangles"]),
                 f"{100 * level['triangles'] / base:.1f}",
@@ -184,10 +189,15 @@ def _levels(report: dict[str, Any]) -> list[str]:
                 size(level["bytes"]) if level["files"] else "–",
                 number(error.get("mean")),
                 number(error.get("max")),
+                *(number(figures.get(key)) for _, key in measured),
                 clean(level["stop_reason"]),
-            )
+            ]
         )
     return table(head, rows)
+
+
+_SEEN = (("PSNR", "psnr"), ("SSIM", "ssim"), ("silhouette", "silhouette_iou"))
+"""Figures of pictures, as far as they were measured."""
 
 
 def _budget(entry: dict[str, Any]) -> str:

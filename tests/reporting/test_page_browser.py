@@ -16,7 +16,13 @@ from browser import MISSING, browser
 SAMPLE = Path(__file__).parent.parent.parent / "sample_assets" / "mug.glb"
 CHAIN = {
     "lods": [{"ratio": 0.3}, {"ratio": 0.05}],
-    "stages": ["decimate", {"report": {"samples": 500, "pictures": 1, "texture_size": 256}}, "export"],
+    "stages": [
+        "skeleton",
+        "segment",
+        "decimate",
+        {"report": {"samples": 500, "views": 1, "size": 64, "pictures": 1, "texture_size": 256}},
+        "export",
+    ],
     "budgets": {"levels": {"1": {"triangles": 10}}},
 }
 WINDOW = 700, 620
@@ -148,15 +154,19 @@ def test_turning_one_turns_the_other(page):
     assert changed(before, pane(page, "right")) > 0.01
 
 
-@pytest.mark.parametrize("look", ["clay", "checker", "error"])
+@pytest.mark.parametrize("look", ["clay", "checker", "error", "segments"])
 def test_other_looks_are_drawn_too(page, look):
     before = pane(page, "right")
     page.run("document.querySelector(`input[name=look][value=${arguments[0]}]`).click()", look)
-    page.wait(loaded(look, 0, 2))
+    left = "textured" if look == "error" else look
+    page.wait(f"document.getElementById('left').dataset.loaded === '{left} 0'")
+    page.wait(f"document.getElementById('right').dataset.loaded === '{look} 2'")
     after = pane(page, "right")
     assert drawn(after) > 0.05
     assert changed(before, after) > 0.02
-    assert page.run("return [...document.querySelectorAll('.legend:not([hidden])')].length") == (look == "error")
+    assert page.run("return [...document.querySelectorAll('.legend:not([hidden])')].length") == (
+        look in ("error", "segments")
+    )
 
 
 def test_wires_are_drawn_over_the_surface(page):
@@ -210,6 +220,24 @@ def test_without_webgl_the_pictures_remain(folder, tmp_path):
         assert changed(before, pane(page, "right")) > 0.002
         assert page.errors() == []
         assert page.requests() == []
+
+
+def test_the_folders_page_searches_and_sorts(opened, folder):
+    opened.open(folder.parent / "index.html", *WINDOW)
+    shown = "return [...document.querySelectorAll('#assets tbody tr:not([hidden])')].length"
+    type_in = "const s = document.getElementById('search'); s.value = arguments[0]; s.dispatchEvent(new Event('input'))"
+    opened.wait("document.querySelector('#assets img').naturalWidth > 0")
+    assert opened.run(shown) == 1
+    opened.run(type_in, "onerror IMG")
+    assert opened.run(shown) == 1
+    opened.run(type_in, "giraffe")
+    assert opened.run(shown) == 0
+    assert opened.run("return document.getElementById('found').textContent") == "0 of 1"
+    opened.run("document.querySelector('#assets thead [data-kind=number]').click()")
+    assert opened.run("return document.querySelector('[aria-sort]').getAttribute('aria-sort')") == "ascending"
+    assert opened.run("return window.evil") is None
+    assert opened.errors() == []
+    assert all(url.startswith(folder.parent.as_uri()) for url in opened.requests())
 
 
 def test_the_folder_lists_all_that_the_page_names(folder):

@@ -80,6 +80,16 @@ def test_the_summary_is_a_table_of_levels():
     ]
 
 
+def test_what_was_seen_has_columns_and_the_page_a_line():
+    seen = report(images=["images/levels.png"])
+    seen["lods"][1]["visual"] = {"psnr": 31.25, "ssim": None, "silhouette_iou": 0.987}
+    lines = summary(Result(report=seen), Style(io.StringIO()))
+    assert lines[1].split()[-5:] == ["%", "PSNR", "silhouette", "stopped", "by"]
+    assert lines[2].split()[-3:] == ["–", "–", "source"]
+    assert lines[3].split()[-3:] == ["31.2", "0.987", "target"]
+    assert lines[4] == "  look at out/duck/report.html"
+
+
 def test_warnings_and_budgets_are_listed():
     budgets = [
         {"level": 1, "figure": "max_error", "limit": 0.1, "value": 0.5, "ok": False},

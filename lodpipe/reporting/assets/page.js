@@ -277,19 +277,25 @@
     return named >= 0 ? named : Math.min(material, (gltf.materials ?? []).length - 1);
   }
 
+  // everything is awaited before the first stroke: what was asked for last is then what is seen
   async function layout(canvas, level, chosen) {
     const gltf = await tree(shown.models[level]);
     const name = (await tree(shown.models[0])).materials?.[chosen]?.name;
     const material = level ? rowIn(gltf, chosen, name) : chosen;
-    const pen = canvas.getContext("2d"), size = canvas.width;
-    pen.clearRect(0, 0, size, size);
     const slot = gltf.materials?.[material]?.pbrMetallicRoughness?.baseColorTexture;
     const texture = slot && gltf.textures[slot.index];
     const image = texture && (texture.source ?? texture.extensions?.EXT_texture_webp?.source);
+    const picture = new Image();
     if (image !== undefined) {
-      const picture = new Image();
       picture.src = await address(gltf.images[image].uri);
       await picture.decode();
+    }
+    const parts = await Promise.all(primitivesOf(gltf, material).map(async (primitive) =>
+      [await array(gltf, primitive.attributes.TEXCOORD_0), await array(gltf, primitive.indices)]));
+
+    const pen = canvas.getContext("2d"), size = canvas.width;
+    pen.clearRect(0, 0, size, size);
+    if (image !== undefined) {
       pen.globalAlpha = 0.45;
       pen.drawImage(picture, 0, 0, size, size);
       pen.globalAlpha = 1;
@@ -297,8 +303,7 @@
     let triangles = 0, outside = 0;
     pen.strokeStyle = getComputedStyle(document.documentElement).getPropertyValue("--accent");
     pen.lineWidth = 1;
-    for (const primitive of primitivesOf(gltf, material)) {
-      const uv = await array(gltf, primitive.attributes.TEXCOORD_0), corners = await array(gltf, primitive.indices);
+    for (const [uv, corners] of parts) {
       for (let first = 0; first < corners.length; first += 3) {
         if (first % 6000 === 0) {
           pen.stroke();
@@ -323,10 +328,11 @@
   async function drawLayouts() {
     if (byId("uv").hidden) return;
     const material = Number(byId("uv-material").value), level = state.level;
+    const there = level in shown.models;
     const outside = await layout(byId("uv-source"), 0, material);
+    if (there && level === state.level) await layout(byId("uv-level"), level, material);
     if (level !== state.level) return;
-    byId("uv-level").hidden = !(level in shown.models);
-    if (level in shown.models) await layout(byId("uv-level"), level, material);
+    byId("uv-level").hidden = !there;
     byId("uv-about").textContent = `Left the source, right LOD${level}.`
       + (outside ? ` ${count(outside)} triangles of the source lie outside of 0…1 (a repeated texture).` : "");
   }
