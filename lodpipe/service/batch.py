@@ -113,7 +113,8 @@ def run(
             add(same)
         else:
             job = job_of(asset, root, recipe, max(1, min(workers, len(found))))
-            jobs.append(dataclasses.replace(job, command=_command(asset, root, config, settings, plugins)))
+            command = _command(asset, root, config, settings, plugins)
+            jobs.append(dataclasses.replace(job, command=command, fresh=force))
     try:
         for outcome in _done(jobs, workers, len(found) > 1, listener.progress):
             add(outcome)

@@ -301,9 +301,9 @@ def _build(
 def _results(job: Job, output: Output, recipe: Recipe, origin: list[Any]) -> StageResults | None:
     cache = recipe.config["cache"]
     limit = int(cache["gb"] * 1e9)
-    if job.fresh or not limit:
+    if not limit:
         return None
-    return StageResults(output.state / RESULTS, limit, cache["min_seconds"], origin, recipe.stages)
+    return StageResults(output.state / RESULTS, limit, cache["min_seconds"], origin, recipe.stages, fresh=job.fresh)
 
 
 def _load(job: Job, pipeline: Pipeline, log: logging.Logger) -> Asset:

@@ -30,8 +30,21 @@ FOLDER = "cache"
 class StageResults:
     """The results in a folder, as one run over one asset sees them; implements `lodpipe.pipeline.Results`."""
 
-    def __init__(self, folder: Path, limit: int, min_seconds: float, origin: Any, stages: Iterable[Any]) -> None:
-        """`origin` is plain data that names the input's content; `stages` has for each step its name and version."""
+    def __init__(
+        self,
+        folder: Path,
+        limit: int,
+        min_seconds: float,
+        origin: Any,
+        stages: Iterable[Any],
+        *,
+        fresh: bool = False,
+    ) -> None:
+        """`origin` is plain data that names the input's content; `stages` has for each step its name and version.
+
+        With `fresh`, results are kept but none is used.
+        """
+        self._fresh = fresh
         self._folder, self._limit, self._min_seconds = folder, limit, min_seconds
         self._stages = list(stages)
         self._key = _hash([_code(), origin])
@@ -42,6 +55,8 @@ class StageResults:
     def find(self, chain: list[dict[str, Any]], values: dict[str, Any]) -> Kept | None:
         """The latest stage of `chain` (each with its params) whose result is there, and all that came before it."""
         key, parts, best = self._key, [], None
+        if self._fresh:
+            return None
         for index, params in enumerate(chain):
             step = self._step(key, index, params)
             used = self._read(f"{step}.used")
