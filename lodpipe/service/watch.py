@@ -169,6 +169,7 @@ class _Process:
         self._config_stamp = _stamp(recipe)
         self._config_looked = self.clock.monotonic()
         self._deadline = float("inf")
+        self._told: dict[str, str] = {}
 
     def _submit(self, work: Callable[[], Taken], then: Callable[[Taken], None]) -> None:
         self.intake.submit(work).add_done_callback(lambda future: then(future.result()))
@@ -196,6 +197,7 @@ class _Process:
             if not self.daemon.busy:
                 self.daemon.index.settle()
             self.hooks.look()
+            self._tell_problems()
             if self.request.once and (self.daemon.finished or self.daemon.problem):
                 return self._verdict()
             if every and now - last_ping >= every:
@@ -203,6 +205,13 @@ class _Process:
                 notify("WATCHDOG=1")
             time.sleep(SHORTEST_SECONDS)
             self.waker.wait(min(due - self.clock.monotonic(), IDLE_SECONDS))
+
+    def _tell_problems(self) -> None:
+        problems = dict(self.daemon.executor.problems) if self.daemon.executor else {}
+        for machine, why in problems.items():
+            if self._told.get(machine) != why:
+                self.log.warning("no jobs for %s: it %s", machine, why)
+        self._told = problems
 
     def _recover(self) -> None:
         try:
@@ -251,7 +260,7 @@ class _Process:
             watch = self.daemon.watch
             self.hooks.watch = watch
             if self.daemon.executor:
-                self.daemon.executor.slots = watch.workers
+                self.daemon.executor.resize(watch.workers)
             if (watch.executor, watch.scheduler, watch.port) != self._made_of:
                 self.log.warning("another executor, scheduler or port takes a restart")
             self._config_stamp = _stamp(recipe)

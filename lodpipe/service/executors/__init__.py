@@ -26,8 +26,15 @@ class Listener(Protocol):
 class Executor(Protocol):
     """Runs each job once, in a process of its own that keeps the job's limits (`lodpipe.service.pool.run_one`)."""
 
-    slots: int
-    """How many jobs it takes at a time."""
+    @property
+    def slots(self) -> int:
+        """How many jobs it takes at a time; may change."""
+
+    problems: dict[str, str]
+    """Machines that get no jobs, and why."""
+
+    def resize(self, workers: int) -> None:
+        """`watch.workers` has another value now."""
 
     def start(self, key: str, job: Job, content: str) -> None:
         """Begin a job; `content` is the same for jobs that would publish the same."""
@@ -66,11 +73,15 @@ class Factory(Protocol):
 
 
 def find_executor(name: str) -> Factory:
-    """The factory of that name: `local`, or one that an installed package has. Raises ConfigError."""
+    """The factory of that name: `local`, `dask`, or one that an installed package has. Raises ConfigError."""
     if name == "local":
         from lodpipe.service.executors.local import LocalExecutor
 
         return LocalExecutor
+    if name == "dask":
+        from lodpipe.service.executors.dask import DaskExecutor
+
+        return DaskExecutor
     points = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
     if name not in points:
         raise ConfigError(f"there is no executor '{name}'{did_you_mean(name, ['local', *points])}")

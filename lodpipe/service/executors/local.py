@@ -14,13 +14,23 @@ class LocalExecutor:
     """A thread for each running job, which feeds and watches the job's process."""
 
     def __init__(self, settings: Settings, listener: Listener) -> None:
-        self.slots = settings.workers
+        self.problems: dict[str, str] = {}
+        self._workers_at_once = settings.workers
         self._settings, self._listener = settings, listener
         self._stops: dict[str, threading.Event] = {}
         self._workers: dict[str, Worker] = {}
         self._spares: list[Worker] = []
         self._modules: list[str] = ["lodpipe.stages"]
         self._threads: dict[str, threading.Thread] = {}
+
+    @property
+    def slots(self) -> int:
+        """How many jobs run at a time."""
+        return self._workers_at_once
+
+    def resize(self, workers: int) -> None:
+        """From now on so many."""
+        self._workers_at_once = workers
 
     def start(self, key: str, job: Job, content: str) -> None:
         """Begin a job, in a process that waits for one if there is any."""
