@@ -11,15 +11,13 @@ from lodpipe.config.watch import Cache, Part, Watch
 from lodpipe.core.asset import Target
 from lodpipe.io.limits import DEFAULT as READER
 
-LATER_TARGETS = {"pixels", "screen"}
-"""Words of level targets that a later version honours: refused by name, not as unknown keys."""
-
 Percent = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=1)]
 
 
 class Level(Part):
-    """One level below the source: what it may have, or how far it may be off. Exactly one of the three."""
+    """One level below the source: what it may have, how far it may be off, or what may be seen of that. Exactly one of
+    ratio, triangles, error, and pixels with screen."""
 
     ratio: Annotated[float, Field(gt=0, le=1)] | None = None
     """Share of the source's triangles."""
@@ -28,23 +26,27 @@ class Level(Part):
     error: Percent | None = None
     """Largest distance to the source, in % of its bounding-box diagonal."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _known_targets(cls, data: Any) -> Any:
-        if isinstance(data, dict) and LATER_TARGETS & data.keys():
-            raise ValueError("pixels/screen is not supported yet by this version; use ratio, triangles or error")
-        return data
+    pixels: Annotated[float, Field(gt=0)] | None = None
+    """With `screen`: pixels of difference that may be seen, on a screen of 1080 lines."""
+    screen: Annotated[float, Field(gt=0, le=1)] | None = None
+    """With `pixels`: share of the screen's height that the model's diagonal takes up."""
 
     @model_validator(mode="after")
     def _one_target(self) -> Level:
-        if len(self.model_fields_set) != 1:
-            given = ", ".join(sorted(self.model_fields_set)) or "none"
-            raise ValueError(f"must have exactly one of ratio, triangles, error (got {given})")
+        given = {name for name in type(self).model_fields if getattr(self, name) is not None}
+        if (len(given) != 1 and given != {"pixels", "screen"}) or given in ({"pixels"}, {"screen"}):
+            names = ", ".join(sorted(given)) or "none"
+            raise ValueError(f"must have exactly one of ratio, triangles, error, or pixels and screen (got {names})")
         return self
+
+    @property
+    def unseen_height(self) -> float | None:
+        """Share of the screen's height up to which less than a pixel may be seen; None for other targets."""
+        return None if self.pixels is None or self.screen is None else self.screen / self.pixels
 
     def target(self) -> Target:
         """The same for stages."""
-        return Target(ratio=self.ratio, triangles=self.triangles, error=self.error)
+        return Target(self.ratio, self.triangles, self.error, self.pixels, self.screen)
 
 
 class Limits(Part):
@@ -113,11 +115,12 @@ class Config(Part):
     @field_validator("lods")
     @classmethod
     def _fine_to_coarse(cls, lods: tuple[Level, ...]) -> tuple[Level, ...]:
-        for kind, sign in (("ratio", -1), ("triangles", -1), ("error", 1)):
+        for kind, sign in (("ratio", -1), ("triangles", -1), ("error", 1), ("unseen_height", -1)):
             values = [getattr(level, kind) for level in lods if getattr(level, kind) is not None]
             for before, after in pairwise(values):
                 if sign * (after - before) <= 0:
-                    raise ValueError(f"levels must go from fine to coarse ({kind} {after} follows {before})")
+                    name = "screen / pixels" if kind == "unseen_height" else kind
+                    raise ValueError(f"levels must go from fine to coarse ({name} {after:g} follows {before:g})")
         return lods
 
     def targets(self) -> tuple[Target, ...]:

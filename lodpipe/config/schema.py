@@ -30,7 +30,8 @@ def json_schema(known: Mapping[str, AnyStage]) -> dict[str, Any]:
         )
     schema["properties"]["stages"]["items"] = {"anyOf": choices}
     level = definitions["Level"]
-    level["minProperties"] = level["maxProperties"] = 1
+    alone = [{"required": [name], "maxProperties": 1} for name in ("ratio", "triangles", "error")]
+    level["oneOf"] = [*alone, {"required": ["pixels", "screen"], "maxProperties": 2}]
     schema["title"] = "lodpipe configuration"
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 

@@ -69,7 +69,8 @@ class ErrorFigures:
 class VisualFigures:
     """How different a level looks from the source, over pictures of both from `views` directions; docs/measuring.md.
 
-    A figure that does not exist is None, and `reasons` says why under its name.
+    A figure that does not exist is None, and `reasons` says why under its name; there it is also said of a figure that
+    is only a bound.
     """
 
     luminance_rms: float
@@ -86,6 +87,9 @@ class VisualFigures:
     """Overlap of the silhouettes, 0…1 (the same)."""
     normal_degrees: float | None
     """Mean angle between the facing normals where both are seen."""
+    unseen_height: float | None
+    """Pixels that the source's bounding-box diagonal takes up on the screen, up to which no difference of more than a
+    pixel is seen."""
     views: int
     size: int
     """Pixels along a side of the pictures."""

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
-from typing import Any, TypeVar
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from lodpipe.core.asset import Asset, ErrorFigures, VisualFigures
 from lodpipe.core.cache import Cache
 from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.metrics import SMALLEST, Sums, difference, facing_angles, flip_map
 from lodpipe.geometry.palette import heat
-from lodpipe.geometry.pictures import Gallery, Setup, Shot, framed
+from lodpipe.geometry.pictures import Gallery, Setup, Shot, framed, in_threads
 from lodpipe.geometry.render import as_bytes
 from lodpipe.geometry.sheet import contact_sheet
 from lodpipe.geometry.texture import U8, Textures
+from lodpipe.geometry.visible import Sight
 
-T = TypeVar("T")
 Progress = Callable[[float, float], None]
 
 
@@ -28,6 +26,7 @@ def _silent(done: float, total: float) -> None:
 
 NAMES = ("a", "b", "difference")
 EQUAL = "the pictures are equal"
+BOUND = "at least: no difference is seen in the largest pictures that were taken"
 NOTHING = "neither model shows anything"
 
 
@@ -116,10 +115,16 @@ def compare_pictures(a: Gallery, b: Gallery, progress: Progress = _silent) -> Vi
     sums = Sums()
     for gallery in (a, b):
         gallery.model.prepare()
-    for done, part in enumerate(each_view(a, lambda view: compare_shots(a, view, a.shot(view), b.shot(view))), 1):
+    shots = in_threads(lambda view: compare_shots(a, view, a.shot(view), b.shot(view)), a.setup.views, a.threads)
+    for done, part in enumerate(shots, 1):
         sums += part
         progress(done, a.setup.views)
-    return figures(sums, a.setup.views, a.setup.size)
+    result = figures(sums, a.setup.views, a.setup.size)
+    if not sums.shown:
+        return result
+    height, seen = Sight(a).unseen_height(b)
+    bound = {} if seen else {"unseen_height": BOUND}
+    return replace(result, unseen_height=height, reasons={**result.reasons, **bound})
 
 
 def compare_shots(gallery: Gallery, view: int, a: Shot, b: Shot) -> Sums:
@@ -136,7 +141,8 @@ def figures(sums: Sums, views: int, size: int) -> VisualFigures:
     """The figures that `sums` over `views` pictures amount to."""
     reasons = {}
     if not sums.shown:
-        reasons = dict.fromkeys(("psnr", "ssim", "ms_ssim", "flip", "silhouette_iou", "normal_degrees"), NOTHING)
+        missing = ("psnr", "ssim", "ms_ssim", "flip", "silhouette_iou", "normal_degrees", "unseen_height")
+        reasons = dict.fromkeys(missing, NOTHING)
     else:
         if sums.psnr is None:
             reasons["psnr"] = EQUAL
@@ -153,17 +159,11 @@ def figures(sums: Sums, views: int, size: int) -> VisualFigures:
         flip=_mean(sums.flip),
         silhouette_iou=sums.silhouette_iou,
         normal_degrees=sums.normal_degrees,
+        unseen_height=None,
         views=views,
         size=size,
         reasons=reasons,
     )
-
-
-def each_view(gallery: Gallery, work: Callable[[int], T]) -> Iterator[T]:
-    """`work` done for each view, in the views' order, by as many threads as the gallery may have."""
-    threads = gallery.threads or os.cpu_count() or 1
-    with ThreadPoolExecutor(threads) as pool:
-        yield from pool.map(work, range(gallery.setup.views))
 
 
 def _mean(values: Sequence[float]) -> float | None:

@@ -6,6 +6,7 @@ at the size at which the scene shows it, so that a collapse in a button competes
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, overload
@@ -18,17 +19,24 @@ from lodpipe.core.errors import Cancelled, InvalidMesh
 from lodpipe.core.mesh import F32, F64, I32, Mesh
 from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.flatten import flatten, largest_placement
+from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.progressive import rebuild
 from lodpipe.geometry.shading import with_normals
 from lodpipe.geometry.similarity import decimate_joined
-from lodpipe.geometry.texture import U8
+from lodpipe.geometry.switch import SCREEN_HEIGHT
+from lodpipe.geometry.texture import U8, Textures
 from lodpipe.geometry.visibility import vertex_visibility
+from lodpipe.geometry.visible import Sight, coarsest
 from lodpipe.kernel import QuadricOptions
 from lodpipe.kernel.similarity import SimilarityOptions
 
 Metric = Literal["quadric", "visual"]
 
 ERROR_SAMPLES = 20_000  # of a measurement while a level is searched for its error
+
+
+Unseen = Callable[[Asset, float], float]
+"""The height in pixels up to which an asset can stand in for the source unseen, looked for up to a height."""
 
 
 def _no_progress(done: float, total: float) -> None:
@@ -70,7 +78,7 @@ def decimate(source: Mesh | Asset, target: int | float | Target, **settings: Any
     Raises InvalidMesh for a target outside its range.
     """
     goal = _as_target(target)
-    outside = {name: settings.pop(name) for name in ("weights", "metric", "threads") if name in settings}
+    outside = {name: settings.pop(name) for name in ("weights", "metric", "unseen", "threads") if name in settings}
     options = QuadricOptions(**settings)
     if isinstance(source, Mesh):
         asset = Asset(name=source.name, meshes=(source,))
@@ -87,6 +95,7 @@ def decimate_asset(
     weights: AttributeWeights | None = None,
     metric: Metric = "quadric",
     pixels: Mapping[int, U8] | None = None,
+    unseen: Unseen | None = None,
     threads: int = 0,
     progress: Callable[[float, float], None] = _no_progress,
     cancelled: Callable[[], bool] = lambda: False,
@@ -94,8 +103,9 @@ def decimate_asset(
     """All levels of an asset: level 0, the source, and one for each target, in the targets' order.
 
     Meshes with a `keep_reason` pass as they are; their triangles count against the target. `pixels` holds the decoded
-    images by their row, for SimilarityOptions alone. Raises InvalidMesh for a target out of range, Cancelled when
-    `cancelled` says so.
+    images by their row, for SimilarityOptions alone. `unseen` (`Sight.of`) judges targets in pixels, and has to be
+    given for them if the asset has textures. Raises InvalidMesh for a target out of range, Cancelled when `cancelled`
+    says so.
     """
     options = options or QuadricOptions()
     source = Lod(meshes=asset.meshes)
@@ -147,9 +157,12 @@ def decimate_asset(
         raise Cancelled("cancelled")
     made = {level.target: level for level in result.levels}
     lods = [source]
+    seen: dict[Target, Lod] = {}
+    if looks := [goal for goal in targets if goal.pixels is not None]:
+        seen = joined.search_pixels(asset, looks, result, unseen or _untextured_sight(asset, threads), cancelled)
     for goal, count in zip(targets, counts, strict=True):
         if count is None:
-            lods.append(joined.search_error(asset, goal, result))
+            lods.append(seen[goal] if goal in seen else joined.search_error(asset, goal, result))
             continue
         level = made[max(count - fixed, 0)]
         if fits:
@@ -191,7 +204,21 @@ def _count(goal: Target, triangles: int) -> int | None:
         return max(1, round(goal.ratio * triangles))
     if goal.error is not None and goal.error >= 0:
         return None
-    raise InvalidMesh("a target needs a ratio, a number of triangles, or an error of 0 % or more")
+    if goal.pixels is not None and goal.screen is not None and goal.pixels > 0 and 0 < goal.screen <= 1:
+        return None
+    raise InvalidMesh(
+        "a target needs a ratio, a number of triangles, an error of 0 % or more, or pixels above 0 at a screen share "
+        "above 0 and up to 1"
+    )
+
+
+def _untextured_sight(asset: Asset, threads: int) -> Unseen:
+    if asset.images:
+        raise InvalidMesh(
+            "a target in pixels has to see the textures",
+            advice="use the stage `decimate` (lodpipe run), or give `unseen`: see lodpipe.geometry.visible.Sight",
+        )
+    return Sight(Gallery(asset, Setup(), Textures(), threads=threads)).of
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,21 +388,53 @@ class _Joined:
 
     def search_error(self, asset: Asset, goal: Target, result: kernel.Decimation) -> Lod:
         """The coarsest level whose measured distance to the source is within the goal, by bisection of the record."""
-        assert result.record is not None and goal.error is not None  # decimate_asset asked for the record
+        assert goal.error is not None
         reference = flatten(asset)
         high, low = len(self.faces), 0
         best: Lod | None = None
         while high - low > max(1, high // 100):
             middle = (high + low) // 2
-            level = rebuild(self.positions, self.faces, self.wedges, self.values, result.record, middle)
-            lod = self.lod(asset, level, goal, "error")
+            lod = self.rebuilt(asset, goal, result, middle, "error")
             soup = flatten(asset, lod.meshes)
             within = len(soup.faces) > 0 and distance_between(reference, soup, ERROR_SAMPLES).max <= goal.error
             if within:
-                high, best = min(middle, len(level.faces)), lod
+                high, best = min(middle, lod.triangles), lod
             else:
                 low = middle
         return best or Lod(meshes=asset.meshes, target=goal, stop_reason="error")
+
+    def search_pixels(
+        self,
+        asset: Asset,
+        goals: Sequence[Target],
+        result: kernel.Decimation,
+        unseen: Unseen,
+        cancelled: Callable[[], bool],
+    ) -> dict[Target, Lod]:
+        """For each goal the coarsest level of the record that shows no more pixels of difference than it allows."""
+        known = {len(self.faces): math.inf}
+        made: dict[Target, Lod] = {}
+        for goal in goals:
+            assert goal.pixels is not None and goal.screen is not None
+            height = goal.screen * SCREEN_HEIGHT / goal.pixels
+
+            def found(number: int, height: float = height, goal: Target = goal) -> float:
+                if cancelled():
+                    raise Cancelled("cancelled")
+                return unseen(asset.at(self.rebuilt(asset, goal, result, number, "pixels")), height)
+
+            number = coarsest(found, height, known)
+            if number == len(self.faces):
+                made[goal] = Lod(meshes=asset.meshes, target=goal, stop_reason="pixels")
+            else:
+                made[goal] = self.rebuilt(asset, goal, result, number, "pixels")
+        return made
+
+    def rebuilt(self, asset: Asset, goal: Target, result: kernel.Decimation, triangles: int, reason: str) -> Lod:
+        """The level of at most so many triangles, from the record."""
+        assert result.record is not None  # decimate_asset asked for it
+        level = rebuild(self.positions, self.faces, self.wedges, self.values, result.record, triangles)
+        return self.lod(asset, level, goal, reason)
 
 
 def _width(mesh: Mesh, name: str) -> int:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +20,8 @@ from lodpipe.geometry.camera import Camera, views
 from lodpipe.geometry.render import DARK, HEADLIGHT, LIGHT, STUDIO, Lighting, Mode, Style, finished, shoot
 from lodpipe.geometry.surface import Model
 from lodpipe.geometry.texture import Textures
+
+T = TypeVar("T")
 
 MARGIN = 1.02
 """What a picture shows, over the diameter of the model's bounding sphere."""
@@ -151,3 +156,12 @@ def framed(a: Model, b: Model) -> Frame:
     """The frame of a comparison with `a`: its sphere, and room for the cameras outside of both."""
     far = float(np.linalg.norm(b.centre - a.centre)) + b.radius
     return Frame(a.centre, a.radius, 2 * max(a.radius, far))
+
+
+def in_threads(work: Callable[[int], T], count: int, threads: int) -> Iterator[T]:
+    """`work` of 0 … count − 1, in that order, done by up to `threads` threads (0: one for each core); who stops asking
+    saves what is left but for the few that run."""
+    workers = threads or os.cpu_count() or 1
+    with ThreadPoolExecutor(workers) as pool:
+        for start in range(0, count, workers):
+            yield from pool.map(work, range(start, min(start + workers, count)))

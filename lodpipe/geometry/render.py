@@ -205,8 +205,8 @@ def _layers(
     rays = np.arange(len(origins))
     gone = np.zeros(len(rays), np.float32)
     light = np.ones(len(rays), np.float32)
+    hits = model.rays.cast(origins, directions)
     for _ in range(MAX_LAYERS):
-        hits = model.rays.cast(origins[rays] + directions[rays] * gone[rays, None], directions[rays])
         met = np.flatnonzero(hits.faces >= 0)
         if not len(met):
             return
@@ -226,6 +226,7 @@ def _layers(
         rays = rays[light[rays] > 1 / 512]
         if not len(rays):
             return
+        hits = model.rays.cast(origins[rays] + directions[rays] * gone[rays, None], directions[rays])
 
 
 class _Band:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -102,7 +102,7 @@ class Model:
         for look in self.looks:
             for slot in (look.base, look.normal, look.emission_map):
                 if slot is not None:
-                    self._attribute(slot.uv_name)
+                    self._attribute(slot.uv_name) and self._density(slot.uv_name)
             if look.normal is not None:
                 self._tangents(look.normal.uv_name)
         self._attribute("COLOR_0")
@@ -149,19 +149,16 @@ class Model:
         `cull`. `only_alpha` saves the look-ups of opaque materials, whose colour is then undefined.
         """
         rgba = np.ones((len(spots.faces), 4), np.float32)
-        material = self.soup.face_material[spots.faces]
-        for index in np.unique(material):
-            rows = np.flatnonzero(material == index)
-            look = self.looks[index]  # the default material, −1, is the last
+        for look, rows, own in self._by_material(spots):
             if look.alpha_mode != "OPAQUE" or not only_alpha:
-                rgba[rows] = self._base_colour(look, spots.take(rows))
+                rgba[rows] = self._base_colour(look, own)
             if look.alpha_mode == "OPAQUE":
                 rgba[rows, 3] = 1.0
             elif look.alpha_mode == "MASK":
                 rgba[rows, 3] = rgba[rows, 3] >= look.cutoff
             if cull and not look.double_sided:
-                towards = np.einsum("nd,nd->n", self.geometric_normals(spots.faces[rows]), spots.directions[rows])
-                rgba[rows[towards > 0], 3] = 0.0
+                towards = np.einsum("nd,nd->n", self.geometric_normals(own.faces), own.directions)
+                rgba[rows, 3] *= towards <= 0
         return rgba
 
     def unlit(self, spots: Spots) -> NDArray[np.bool_]:
@@ -172,12 +169,9 @@ class Model:
         """Add to `lit` (N, 3), linear, what the materials shine with by themselves."""
         if all(look.emission is None for look in self.looks):
             return
-        material = self.soup.face_material[spots.faces]
-        for index in np.unique(material):
-            look = self.looks[index]
+        for look, rows, own in self._by_material(spots):
             if look.emission is not None:
-                rows = np.flatnonzero(material == index)
-                seen = None if look.emission_map is None else self._sampled(look.emission_map, spots.take(rows))
+                seen = None if look.emission_map is None else self._sampled(look.emission_map, own)
                 lit[rows] += look.emission if seen is None else look.emission * seen[:, :3]
 
     def chequer(self, spots: Spots) -> F32:
@@ -204,25 +198,25 @@ class Model:
         if coordinates is None:
             return None
         values, has = coordinates
-        corners = values[self.soup.wedges[spots.faces]][:, :, :2]
+        uv = _blend(values[self.soup.wedges[spots.faces]][:, :, :2], spots.weights)
+        turned = 1.0
         if slot.uv_matrix is not None:
-            corners = (corners @ slot.uv_matrix[:, :2].T + slot.uv_matrix[:, 2]).astype(np.float32)
-        texels = self._footprint(slot.texture, corners, spots)
-        seen = slot.texture.sample(_blend(corners, spots.weights), texels, slot.wrap, slot.nearest)
-        seen[~has[spots.faces]] = missing
+            uv = (uv @ slot.uv_matrix[:, :2].T + slot.uv_matrix[:, 2]).astype(np.float32)
+            turned = abs(float(np.linalg.det(slot.uv_matrix[:, :2])))
+        texels = np.sqrt(turned * slot.texture.width * slot.texture.height) * self._footprint(slot.uv_name, spots)
+        seen = slot.texture.sample(uv, texels, slot.wrap, slot.nearest)
+        without = ~has[spots.faces]
+        if without.any():
+            seen[without] = missing
         return seen
 
     def _perturb(self, spots: Spots, normals: F32) -> None:
         """Turn `normals` (N, 3), in place, as the materials' normal maps say."""
         if all(look.normal is None for look in self.looks):
             return
-        material = self.soup.face_material[spots.faces]
-        for index in np.unique(material):
-            look = self.looks[index]
+        for look, rows, own in self._by_material(spots):
             if look.normal is None:
                 continue
-            rows = np.flatnonzero(material == index)
-            own = spots.take(rows)
             tangents = self._tangents(look.normal.uv_name)
             seen = self._sampled(look.normal, own)
             if tangents is None or seen is None:
@@ -238,7 +232,7 @@ class Model:
             turned = x * scale * t + y * scale * b + np.maximum(z, np.float32(1e-3)) * n
             turned /= np.sqrt(np.einsum("nd,nd->n", turned, turned))[:, None]
             usable = (length > 1e-6) & np.isfinite(turned).all(axis=1)  # no tangent, no map
-            normals[rows[usable]] = turned[usable]
+            normals[rows] = np.where(usable[:, None], turned, n)
 
     def _corner_normals(self, faces: I32) -> F32:
         """(N, 3, 3) float32: the normals at the corners of `faces`, the file's or made from the triangles."""
@@ -275,18 +269,37 @@ class Model:
             self._made_tangents[uv_name] = made
         return self._made_tangents[uv_name]
 
-    def _footprint(self, texture: Texture, uv: F32, spots: Spots) -> F32:
-        """(N,) float32: a pixel's width on the texture, in texels, the mean over its directions."""
-        across = (uv[:, 1:] - uv[:, :1]) * np.array([texture.width, texture.height], np.float32)
-        texels = np.abs(across[:, 0, 0] * across[:, 1, 1] - across[:, 0, 1] * across[:, 1, 0])
-        corners = self.corners(spots.faces)
-        edges = corners[:, 1:] - corners[:, :1]
-        normals = np.cross(edges[:, 0], edges[:, 1])
-        # the area that the face shows to the ray: its own, times the cosine, which may not vanish
-        seen = np.abs(np.einsum("nd,nd->n", normals, spots.directions))
-        area = np.maximum(seen, 0.05 * np.sqrt(np.einsum("nd,nd->n", normals, normals)))
-        footprint: F32 = spots.pixel * np.sqrt(texels / np.maximum(area, np.float32(1e-30)))
+    def _footprint(self, uv_name: str, spots: Spots) -> F32:
+        """(N,) float32: a pixel's width in UV space, the mean over its directions."""
+        cosine = np.abs(np.einsum("nd,nd->n", self.geometric_normals(spots.faces), spots.directions))
+        # the more a face is turned away the more of it a pixel covers, but not without end
+        footprint: F32 = spots.pixel * self._density(uv_name)[spots.faces] / np.sqrt(np.maximum(cosine, 0.05))
         return footprint
+
+    def _density(self, uv_name: str) -> F32:
+        """(F,) float32: a face's size in UV space over its size in radii, as lengths."""
+        if uv_name not in self._densities:
+            coordinates = self._attribute(uv_name)
+            if coordinates is None:
+                raise KeyError(uv_name)
+            uv, corners = coordinates[0][self.soup.wedges], self.positions[self.faces]
+            d, e = uv[:, 1, :2] - uv[:, 0, :2], uv[:, 2, :2] - uv[:, 0, :2]
+            normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            area = np.sqrt(np.einsum("nd,nd->n", normals, normals))
+            flat = np.abs(d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0])
+            self._densities[uv_name] = np.sqrt(flat / np.maximum(area, np.float32(1e-30)))
+        return self._densities[uv_name]
+
+    def _by_material(self, spots: Spots) -> Iterator[tuple[Look, NDArray[np.int64] | slice, Spots]]:
+        """Each material that `spots` have: how it looks, the spots' rows, and the spots."""
+        material = self.soup.face_material[spots.faces]
+        kinds = np.flatnonzero(np.bincount(material + 1)) - 1  # the default material, −1, is the last of `looks`
+        if len(kinds) == 1:
+            yield self.looks[kinds[0]], slice(None), spots
+            return
+        for index in kinds:
+            rows = np.flatnonzero(material == index)
+            yield self.looks[index], rows, spots.take(rows)
 
     def _attribute(self, name: str) -> tuple[F32, NDArray[np.bool_]] | None:
         if name not in self._attributes:
@@ -299,6 +312,10 @@ class Model:
 
     @cached_property
     def _made_tangents(self) -> dict[str, F32 | None]:
+        return {}
+
+    @cached_property
+    def _densities(self) -> dict[str, F32]:
         return {}
 
     @cached_property

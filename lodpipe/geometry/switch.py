@@ -12,6 +12,8 @@ SCREEN_HEIGHT = 1080
 """Pixels of the screen that switches are settled for."""
 VISIBLE = 1.0
 """Pixels of deviation that are not seen yet."""
+SMALLEST = 4.0
+"""Pixels of height below which no level is told from another."""
 FIELD_OF_VIEW = math.radians(60)
 STEP = 0.9
 """A level's coverage is at most this share of the finer one's: MSFT_lod asks for descending values."""
@@ -20,7 +22,8 @@ STEP = 0.9
 def settle_switches(asset: Asset) -> Asset:
     """`asset` with `Lod.switch` set on each level that has none.
 
-    A deviation of e % of the bounding-box diagonal covers e/100 · s · SCREEN_HEIGHT pixels when the diagonal takes
+    Where pictures were taken the coverage is the share of SCREEN_HEIGHT up to which no difference is seen in them. Else
+    a deviation of e % of the bounding-box diagonal covers e/100 · s · SCREEN_HEIGHT pixels when the diagonal takes
     the share s of the screen's height, so s = 100 · VISIBLE / (e · SCREEN_HEIGHT), at most 1. e is the measured
     Hausdorff distance, or the decimator's estimate where nothing was measured. The distance is where a camera sees
     the diagonal under that share of its vertical field of view.
@@ -47,6 +50,8 @@ def _coverage(level: Lod) -> float:
 
 
 def _unseen(level: Lod) -> float:
+    if level.visual and level.visual.unseen_height is not None:
+        return min(max(level.visual.unseen_height, SMALLEST) / SCREEN_HEIGHT, 1.0)
     deviation = level.error.max if level.error else level.estimate
     if not deviation > 0:
         return 1.0

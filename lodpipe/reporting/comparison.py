@@ -9,6 +9,8 @@ from typing import Any
 from lodpipe.reporting.report_json import finite
 from lodpipe.reporting.table import Style, clean, number, table
 
+SCREEN = 1080
+"""Pixels of the screen's height that `unseen_height` is set against."""
 _GRADES = ((0.02, "the same to the eye", "green"), (0.05, "hardly different", "green"), (0.1, "different", "yellow"))
 """Mean FLIP up to which pictures are called so."""
 
@@ -42,6 +44,7 @@ def comparison_text(data: dict[str, Any], style: Style) -> list[str]:
         "",
     ]
     rows = [
+        ("unseen up to", *_unseen(visual)),
         ("luminance RMS", number(visual["luminance_rms"]), "of 255; 0 is the same"),
         ("PSNR", _with(visual, "psnr", " dB"), "higher is better; above 40 hardly to be seen"),
         ("SSIM", _with(visual, "ssim"), "1 is the same"),
@@ -79,6 +82,14 @@ def _verdict(visual: dict[str, Any], style: Style) -> str:
     return "  " + style("very different", "red")
 
 
+def _unseen(visual: dict[str, Any]) -> tuple[str, str]:
+    height = visual["unseen_height"]
+    if height is None:
+        return "–", clean(visual.get("unseen_height_reason", ""))
+    share = f"{'more than ' if 'unseen_height_reason' in visual else ''}{100 * min(height / SCREEN, 1):.3g} %"
+    return f"{height:.0f} px", f"{share} of the height of a screen of {SCREEN}: smaller, nobody can tell"
+
+
 def _with(figures: dict[str, Any], name: str, unit: str = "") -> str:
     value = figures[name]
     if value is None:
@@ -87,4 +98,8 @@ def _with(figures: dict[str, Any], name: str, unit: str = "") -> str:
 
 
 def _reasons(figures: dict[str, Any]) -> list[tuple[str, str]]:
-    return [(key.removesuffix("_reason"), text) for key, text in figures.items() if key.endswith("_reason")]
+    return [
+        (key.removesuffix("_reason"), text)
+        for key, text in figures.items()
+        if key.endswith("_reason") and key != "unseen_height_reason"  # it stands in the table
+    ]

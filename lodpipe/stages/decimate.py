@@ -9,11 +9,13 @@ from pydantic import Field
 
 from lodpipe.core.asset import Asset
 from lodpipe.core.errors import AssetError, LimitError
-from lodpipe.geometry.decimate import AttributeWeights, decimate_asset
+from lodpipe.geometry.decimate import AttributeWeights, Unseen, decimate_asset
 from lodpipe.geometry.flatten import flatten
+from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.surface import image_index
-from lodpipe.geometry.texture import U8
-from lodpipe.io import decode_image
+from lodpipe.geometry.texture import U8, Textures
+from lodpipe.geometry.visible import Sight
+from lodpipe.io import decode_image, pixels_of
 from lodpipe.kernel import QuadricOptions
 from lodpipe.kernel.similarity import SimilarityOptions
 from lodpipe.stage import Context, Params, stage
@@ -83,6 +85,14 @@ class DecimateParams(Params):
     """Share of the vertices considered at a time: smaller is nearer to the best order, larger is faster."""
 
 
+def _sight(asset: Asset, context: Context) -> Unseen | None:
+    """What judges targets in pixels, if there are any: by the pictures that `report` compares by default."""
+    if all(target.pixels is None for target in context.lods):
+        return None
+    textures = Textures(pixels_of(asset, context.warn))
+    return Sight(Gallery(asset, Setup(), textures, threads=context.threads, cache=context.cache)).of
+
+
 @stage("decimate")
 def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
     """Levels of detail by quadric error decimation, one budget for the whole asset."""
@@ -99,13 +109,14 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
         weights=AttributeWeights(params.uv_weight, params.normal_weight, params.color_weight),
         metric="visual" if params.metric == "visual" else "quadric",
         pixels=pixels,
+        unseen=_sight(asset, context),
         threads=context.threads,
         progress=context.progress,
         cancelled=context.cancelled,
     )
     for number, level in enumerate(levels[1:], 1):
         context.record(f"lod{number}.triangles", level.triangles)
-        if level.stop_reason not in ("target", "error", "kept meshes"):
+        if level.stop_reason not in ("target", "error", "pixels", "kept meshes"):
             context.warn(f"level {number} stopped at {level.triangles} triangles: {REASONS[level.stop_reason]}")
         if level.relaxed:
             context.warn(f"level {number} could only be reached by changing the topology")

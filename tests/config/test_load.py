@@ -99,11 +99,20 @@ def stages(params: str) -> str:
         ("stages: [cut]\nlods: [{}]", "chain.yaml:2:8: lods[0]: must have exactly one of ratio, triangles, error"),
         (
             "stages: [cut]\nlods: [{ratio: 0.5, error: 1}]",
-            "chain.yaml:2:8: lods[0]: must have exactly one of ratio, triangles, error (got error, ratio)",
+            "chain.yaml:2:8: lods[0]: must have exactly one of ratio, triangles, error, or pixels and screen (got",
         ),
         (
-            "stages: [cut]\nlods: [{pixels: 1, screen: 0.1}]",
-            "chain.yaml:2:8: lods[0]: pixels/screen is not supported yet by this version; use ratio,",
+            "stages: [cut]\nlods: [{pixels: 1}]",
+            "chain.yaml:2:8: lods[0]: must have exactly one of ratio, triangles, error, or pixels and screen (got",
+        ),
+        (
+            "stages: [cut]\nlods: [{pixels: 1, screen: 0.5, ratio: 0.5}]",
+            "chain.yaml:2:8: lods[0]: must have exactly one of ratio, triangles, error, or pixels and screen (got",
+        ),
+        ("stages: [cut]\nlods: [{pixels: 1, screen: 1.5}]", "chain.yaml:2:28: lods[0].screen: must be at most 1"),
+        (
+            "stages: [cut]\nlods: [{pixels: 1, screen: 0.1}, {pixels: 2, screen: 0.5}]",
+            "chain.yaml:2:7: lods: levels must go from fine to coarse (screen / pixels 0.25 follows 0.1)",
         ),
         (
             "stages: [cut]\nlods: [{ratio: 0.1}, {triangles: 9}, {ratio: 0.5}]",
@@ -111,7 +120,7 @@ def stages(params: str) -> str:
         ),
         (
             "stages: [cut]\nlods: [{error: 1}, {error: 0.5}]",
-            "chain.yaml:2:7: lods: levels must go from fine to coarse (error 0.5 follows 1.0)",
+            "chain.yaml:2:7: lods: levels must go from fine to coarse (error 0.5 follows 1)",
         ),
         (
             "stages: [cut]\nlimits: {memory: 1}",

@@ -1,0 +1,166 @@
+"""At what size on the screen the difference between two models can be seen: docs/measuring.md, "Seen from afar"."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from lodpipe.core.asset import Asset
+from lodpipe.core.mesh import F32
+from lodpipe.geometry.metrics import Bool
+from lodpipe.geometry.pictures import MARGIN, Gallery, in_threads
+from lodpipe.geometry.render import finished
+from lodpipe.geometry.switch import SCREEN_HEIGHT
+
+NOTICED = 6 / 255
+"""Difference of an sRGB value from which two colours can be told apart when they lie side by side: about 2.3 CIELAB
+units of lightness, the just noticeable difference of Mahy, Van Eycken & Oosterlinck 1994."""
+
+
+SHARE = 0.0025
+"""Part of what a picture shows that may differ unseen, in the picture where it is largest: specks of that size are the
+noise of one ray a pixel."""
+HEIGHTS = (8, 11, 16, 23, 32, 45, 64, 91, 128, 181, 256, 362, 512, 724, SCREEN_HEIGHT)
+"""Heights of pictures, in pixels, at which models are looked at."""
+
+
+class Sight:
+    """Tells from pictures at what size another model's difference from `source` can be seen.
+
+    Sizes are heights in pixels that the source's bounding-box diagonal takes up. A difference of p pixels is seen at a
+    height h if one of a pixel is seen at h / p.
+    """
+
+    def __init__(self, source: Gallery) -> None:
+        self.source = source
+        diagonal, frame = source.model.soup.diagonal, source.sphere
+        self.scale = diagonal / (2 * MARGIN * frame.radius) if diagonal > 0 else 1.0
+        """Of the height of a picture, what the diagonal takes up."""
+
+    def unseen_height(self, other: Gallery, largest: float = 0.0) -> tuple[float, bool]:
+        """The largest height up to which no difference of a pixel is seen, and whether one was seen above it: if not,
+        no larger pictures were taken. 0 where one is seen at every height.
+
+        Pictures have the set-up's size at most, or what it takes for a height of `largest`. A difference that is seen
+        at one of HEIGHTS and not at the next is taken for an accident of sampling. Between two of them the part that
+        differs is taken to grow with the height's logarithm.
+        """
+        top = max(self.source.setup.size, min(math.ceil(largest / self.scale), HEIGHTS[-1]))
+        heights = [*(height for height in HEIGHTS if height < top), top]
+        found = [(0, 0.0)]
+        for height in heights:
+            found.append((height, self.differs(other, height)))
+            if found[-1][1] > SHARE and found[-2][1] > SHARE:
+                break
+        if found[-1][1] <= SHARE:
+            return self.scale * top, False
+        first = -2 if found[-2][1] > SHARE else -1
+        return self.scale * _between(*found[first - 1], *found[first]), True
+
+    def of(self, other: Asset, largest: float = 0.0) -> float:
+        """The unseen height of an asset that has the source's textures."""
+        shown = Gallery(other, self.source.setup, self.source.textures, self.source.sphere, self.source.threads)
+        for model in (self.source.model, shown.model):
+            model.prepare()
+        return self.unseen_height(shown, largest)[0]
+
+    def differs(self, other: Gallery, height: int) -> float:
+        """Of what is shown in pictures so many pixels high, the part that differs by more than a pixel, 0…1: that of
+        the view where it is largest. Pixels count where all of a square of 2 × 2 differ."""
+        size = self.source.setup.size
+        while size < height:
+            size = min(2 * size, HEIGHTS[-1])
+
+        def part(view: int) -> float:
+            background, linear = self.source.setup.background(view), self.source.setup.lighting.linear
+            pair = [phases(gallery.shot(view, size).colours, height) for gallery in (self.source, other)]
+            shown = np.count_nonzero((pair[0][::2, ::2, 3] > 0) | (pair[1][::2, ::2, 3] > 0))
+            mask = unexplained(*(finished(colours, background, linear) for colours in pair))
+            solid = mask[1:, 1:] & mask[:-1, 1:] & mask[1:, :-1] & mask[:-1, :-1]
+            return float(np.count_nonzero(solid)) / max(float(shown), 1.0)
+
+        return max(in_threads(part, self.source.setup.views, self.source.threads), default=0.0)
+
+
+def coarsest(height_of: Callable[[int], float], wanted: float, known: dict[int, float]) -> int:
+    """The least number of triangles, to 2 %, whose unseen height is `wanted` or more.
+
+    height_of  the unseen height at a number of triangles
+    known      heights found so far, for this and further searches; it holds the source's number of triangles, which
+               has to be high enough
+
+    The next number is taken between the nearest that is too coarse and the nearest that is not, as if the height were a
+    power of it, or, where that does not close in, halfway.
+    """
+    step = 0
+    while True:
+        high = min(number for number, height in known.items() if height >= wanted)
+        low = max((number for number, height in known.items() if number < high and height < wanted), default=0)
+        if high - low <= max(1, high // 50):
+            return high
+        middle = math.sqrt(max(low, 1) * high)
+        if step % 3 < 2 and 0 < known[high] < math.inf:
+            power = math.log(known[high] / known[low]) / math.log(high / low) if low and known[low] > 0 else 1.0
+            middle = high * (wanted / known[high]) ** (1 / max(power, 0.1))
+        edge = max(1, (high - low) // 50)
+        number = round(min(max(middle, low + edge), high - edge))
+        known[number] = height_of(number)
+        step += 1
+
+
+def _between(low: float, differs_low: float, high: float, differs_high: float) -> float:
+    """Where what differs passes SHARE, between a height where it is below and one where it is above."""
+    return float(low * (high / low) ** ((SHARE - differs_low) / (differs_high - differs_low))) if low else 0.0
+
+
+def unexplained(a: F32, b: F32) -> Bool:
+    """Pixels (h, h) where one of two pictures cannot be made from the other by moving things up to one pixel.
+
+    Both are given in `phases` (2h − 1, 2h − 1, 3). A pixel is explained if each of its values lies, give or take
+    NOTICED, between the least and the greatest that the other picture has, at any phase, within one pixel of it: then
+    what is seen there has shifted by less than a pixel, or changed by less than can be noticed.
+    """
+    return _outside(a, b) | _outside(b, a)
+
+
+def _outside(a: F32, b: F32) -> Bool:
+    pixels = a[::2, ::2]
+    low, high = _extreme(b, np.minimum), _extreme(b, np.maximum)
+    outside = (pixels > high + np.float32(NOTICED)) | (pixels < low - np.float32(NOTICED))
+    return outside[..., 0] | outside[..., 1] | outside[..., 2]
+
+
+def _extreme(image: F32, pick: np.ufunc) -> F32:
+    """Of phases (2h − 1, 2h − 1, 3), the least or greatest within one pixel of each pixel (h, h, 3)."""
+    for axis in (0, 1):
+        padded = np.pad(image, [(2, 2) if k == axis else (0, 0) for k in range(3)], mode="edge")
+        length = image.shape[axis]
+        parts = [padded[k : k + length : 2] if axis == 0 else padded[:, k : k + length : 2] for k in range(5)]
+        image = parts[0].copy()
+        for part in parts[1:]:
+            pick(image, part, out=image)
+    return image
+
+
+def phases(colours: F32, height: int) -> F32:
+    """A premultiplied picture (S, S, 4) as it looks `height` pixels high, at the pixels' places and halfway between:
+    (2·height − 1, 2·height − 1, 4), each the mean of a pixel's area; pixels themselves are at even places.
+
+    So a picture that is shifted by half a pixel finds itself. A picture that has less than two rows a pixel is
+    stretched: means then reach a little farther.
+    """
+    fine = shrunk(colours, 2 * height)
+    rows = (fine[1:] + fine[:-1]) * np.float32(0.5)
+    return (rows[:, 1:] + rows[:, :-1]) * np.float32(0.5)
+
+
+def shrunk(colours: F32, size: int) -> F32:
+    """A premultiplied picture (S, S, 4) in `size` rows: each pixel is the mean of its area."""
+    from PIL import Image
+
+    if size == len(colours):
+        return colours
+    planes = [Image.fromarray(np.ascontiguousarray(colours[:, :, k])) for k in range(4)]
+    return np.stack([np.asarray(plane.resize((size, size), Image.Resampling.BOX)) for plane in planes], axis=2)
