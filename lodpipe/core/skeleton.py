@@ -107,11 +107,10 @@ class Importance:
     """How much each vertex matters to the decimator.
 
     weight    for each mesh (V,) float32 > 0: multiplies the vertex's quadric at every budget
-    extreme   for each mesh (V,) float32 ≥ 1: multiplies it too, with a strength that grows as the budget falls
-    reserved  (R, 3) int32 rows of `reserved_mesh`'s positions: a triangle for each branch that is kept to the end,
-              terminal vertex first; `reserved_mesh` (R,) int32
-    budget    (R,) float64: triangles that a branch would need to keep its shape without help (see `strength_at`)
-    strength  0: `extreme` and `reserved` have no effect; None: they fade in by themselves
+    extreme   for each mesh (V,) float32 ≥ 1: what multiplies it too where few triangles are left for each branch
+    reserved  (R, 3) int32 rows of `reserved_mesh`'s positions: a triangle for each branch, terminal vertex first, that
+              is kept as long as the budget allows; longest branch first. `reserved_mesh` (R,) int32
+    strength  0: `extreme` and `reserved` have no effect; 1: all; None: they fade in as the budget falls
     """
 
     weight: tuple[F32, ...]

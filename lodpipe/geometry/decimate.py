@@ -17,7 +17,9 @@ from lodpipe import kernel
 from lodpipe.core.asset import Asset, Lod, Target
 from lodpipe.core.errors import Cancelled, InvalidMesh
 from lodpipe.core.mesh import F32, F64, I32, Mesh
+from lodpipe.core.skeleton import Importance
 from lodpipe.geometry.distance import distance_between
+from lodpipe.geometry.extreme import Guide, extreme_levels
 from lodpipe.geometry.flatten import flatten, largest_placement
 from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.progressive import rebuild
@@ -156,6 +158,12 @@ def decimate_asset(
     if any(level.stop == "cancelled" for level in result.levels) or cancelled():
         raise Cancelled("cancelled")
     made = {level.target: level for level in result.levels}
+    if fits:
+        made = {target: joined.fit(level, threads, cancelled) for target, level in made.items()}
+        if cancelled():
+            raise Cancelled("cancelled")
+    if asset.importance is not None and len(asset.importance.reserved):
+        made |= joined.recognisable(asset.importance, list(made.values()), options, threads)
     lods = [source]
     seen: dict[Target, Lod] = {}
     if looks := [goal for goal in targets if goal.pixels is not None]:
@@ -165,10 +173,6 @@ def decimate_asset(
             lods.append(seen[goal] if goal in seen else joined.search_error(asset, goal, result))
             continue
         level = made[max(count - fixed, 0)]
-        if fits:
-            level = joined.fit(level, threads, cancelled)
-            if cancelled():
-                raise Cancelled("cancelled")
         reached = len(level.faces) + fixed <= count
         reason = "target" if reached else "kept meshes" if level.stop == "triangles" else level.stop
         lods.append(joined.lod(asset, level, goal, reason))
@@ -257,7 +261,8 @@ class _Joined:
             own, rows = _wedges(mesh)
             wedges.append(own + np.int32(corners) if corners else own)
             values.append(_attribute_table(mesh, names, widths, rows))
-            importance.append(np.full(len(mesh.positions), max(len(places.get(i, [])), 1), np.float32))
+            placed = np.full(len(mesh.positions), max(len(places.get(i, [])), 1), np.float32)
+            importance.append(placed * asset.importance.weight[i] if asset.importance else placed)
             vertices += len(mesh.positions)
             corners += rows
             vertex_start.append(vertices)
@@ -269,7 +274,7 @@ class _Joined:
             _join(positions, 3, np.float64),
             _join(faces, 3, np.int32),
             _join(wedges, 3, np.int32),
-            weight if weight.size and weight.max() > 1 else None,
+            weight if weight.size and (weight != 1).any() else None,
             names,
             widths,
             _join(values, sum(widths), np.float32),
@@ -333,6 +338,42 @@ class _Joined:
             threads=threads,
             go_on=lambda: not cancelled(),
         )
+
+    def recognisable(
+        self,
+        importance: Importance,
+        plain: Sequence[kernel.Level],
+        options: QuadricOptions | SimilarityOptions,
+        threads: int,
+    ) -> dict[int, kernel.Level]:
+        """Those of the levels that the skeleton makes better (see `lodpipe.geometry.extreme`), by target."""
+        quadric = options if isinstance(options, QuadricOptions) else QuadricOptions(keep_last=options.keep_last)
+        quadric = replace(quadric, attribute_cost=False, record=False, follow=False, chart_column=self.chart_column)
+
+        def run(factors: F64, locked: Any, targets: list[int]) -> Sequence[kernel.Level]:
+            own = factors if self.importance is None else factors * self.importance
+            return kernel.decimate(
+                self.positions,
+                self.faces,
+                targets,
+                quadric,
+                wedges=self.wedges,
+                values=self.values,
+                column_weights=[0.0] * self.values.shape[1],
+                importance=own.astype(np.float32),
+                locked=locked,
+                threads=threads,
+            ).levels
+
+        first = dict(zip(self.used, self.vertex_start, strict=False))
+        tips = [
+            first[mesh] + row
+            for mesh, row in zip(importance.reserved_mesh.tolist(), importance.reserved[:, 0].tolist(), strict=True)
+            if mesh in first
+        ]
+        extreme = np.concatenate([importance.extreme[index] for index in self.used]).astype(np.float64)
+        guide = Guide(extreme, np.array(tips, np.int64), importance.strength)
+        return extreme_levels(self.positions, self.faces, plain, guide, run)
 
     def lod(self, asset: Asset, level: kernel.Level, goal: Target, reason: str) -> Lod:
         meshes = list(asset.meshes)
