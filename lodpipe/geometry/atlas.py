@@ -82,15 +82,23 @@ def unfold(
     return Unfolded(uv, label, problem, len(flat_rows))
 
 
-def pack(uv: F64, label: I32, size: tuple[int, int], padding: float, largest: float = float("inf")) -> F64:
+def pack(
+    uv: F64,
+    label: I32,
+    size: tuple[int, int],
+    padding: float,
+    largest: float = float("inf"),
+    straighten: bool = True,
+) -> F64:
     """The charts (F, 3, 2) side by side in `size` texels, in texels, with `padding` texels between two charts.
 
-    Each chart is turned so that its box is small. Raises InvalidMesh where they do not fit at any scale.
+    They are scaled alike, by `largest` at most. With `straighten` each chart is first turned so that its box is small;
+    without it charts turn by quarters alone. Raises InvalidMesh where they do not fit at any scale.
     """
     count = int(label.max(initial=-1)) + 1
     if not count:
         return uv.copy()
-    turned = _straight(uv, label)
+    turned = _straight(uv, label) if straighten else uv.copy()
     low, _ = chart_boxes(turned, label)
     turned -= low[label][:, None]
     _, high = chart_boxes(turned, label)

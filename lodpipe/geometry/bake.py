@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from lodpipe.core.asset import Asset, Lod
 from lodpipe.core.errors import Cancelled
-from lodpipe.core.material import Material
+from lodpipe.core.material import Material, texture_ref
 from lodpipe.core.mesh import F32, F64, I32, Mesh
 from lodpipe.geometry.atlas import pack, unfold
 from lodpipe.geometry.bake_mesh import Corners, rebuilt
@@ -38,6 +38,10 @@ from lodpipe.kernel import layout
 
 TILE = 1 << 20
 """Texels worked on at once, which bounds the memory of a bake to about 400 MB beside its textures."""
+OUTSIDE = 1.5
+"""Texels beyond a chart's border that are copied with it."""
+FARTHEST = 30.0
+"""Barycentric coordinates beyond that are those of a needle, whose UVs lead anywhere."""
 CORE = (BASE_COLOR, METALLIC_ROUGHNESS, OCCLUSION, EMISSIVE, NORMAL)
 
 
@@ -54,6 +58,9 @@ class BakeOptions:
     threads: int = 0
     samples: int = 0
     """Samples along a texel's side; 0: two up to 1024², else one."""
+    same_surface: bool = False
+    """The level is the source itself with other UVs: nothing is looked for, only the maps that there are are made, and
+    vertex colours stay where they are."""
 
     def wants(self, path: Path) -> bool:
         """Whether the map in a slot is made."""
@@ -84,10 +91,12 @@ class BakedMaterial:
 
 @dataclass(eq=False)
 class Baked:
-    """A level with new UVs; its meshes' primitives name rows of `materials`."""
+    """A level with new UVs; its meshes' primitives name rows of `materials`, then of `kept`."""
 
     meshes: tuple[Mesh, ...]
     materials: list[BakedMaterial]
+    kept: list[int] = field(default_factory=list)
+    """Rows of `Asset.materials` that some faces still have: they come after `materials`."""
     texels: int = 0
     missed: int = 0
     problems: list[str] = field(default_factory=list)
@@ -127,43 +136,69 @@ def bake_level(
     reach: float,
     options: BakeOptions,
     *,
+    layouts: Sequence[F64] | None = None,
     progress: Callable[[float], None] = lambda share: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Baked:
     """New UVs and textures for `level`, sampled from `asset`'s meshes.
 
     `groups` are those of `groups_of` with their sizes; `sources` has a SourceMesh for each mesh that they name; `reach`
-    is how far in the mesh's unit the source may lie from the level. Raises Cancelled, InvalidMesh where a texture is
+    is how far in the mesh's unit the source may lie from the level. `layouts` has UVs (F, 3, 2) in texels for each
+    group's faces, part after part; left out, the level is unfolded. Raises Cancelled, InvalidMesh where a texture is
     too small for its charts.
     """
     baked = Baked(level.meshes, [])
     sizes = _placed_sizes(asset)
     corners = {number: Corners(level.meshes[number]) for number, _ in _parts(groups)}
-    texels_uv: list[F64] = []
-    for group in groups:
+    texels_uv = list(layouts or ())
+    for group in groups[len(texels_uv) :]:
         positions, faces = _joined(level.meshes, group, sizes)
         unfolded = unfold(positions, faces, seconds=options.seconds, cancelled=cancelled)
         if unfolded.problem and unfolded.problem not in baked.problems:
             baked.problems.append(unfolded.problem)
-        packed = pack(unfolded.uv, unfolded.label, (group.side, group.side), options.padding or padding_for(group.side))
-        texels_uv.append(packed)
+        side = group.side, group.side
+        texels_uv.append(pack(unfolded.uv, unfolded.label, side, options.padding or padding_for(group.side)))
+    for group, packed in zip(groups, texels_uv, strict=True):
         start = 0
         for number, rows in group.parts:
             corners[number].put_uv(rows, packed[start : start + len(rows)] / group.side)
             start += len(rows)
-    for part in corners.values():
-        part.finish(normals=options.wants(NORMAL))
-    for index, group in enumerate(groups):
-        job = _Job(asset, level.meshes, group, corners, sources, textures, reach, options)
+    jobs = [_Job(asset, level.meshes, group, corners, sources, textures, reach, options) for group in groups]
+    bent = {number for job in jobs if any(map(is_normal, job.paths)) for number, _ in job.group.parts}
+    for number, part in corners.items():
+        part.finish(number in bent, sources[number].corner_normals if options.same_surface else None)
+    for index, job in enumerate(jobs):
         baked.materials.append(job.run(texels_uv[index], _share(progress, index, len(groups)), cancelled))
         baked.texels += job.texels
         baked.missed += job.missed
     material_of = {row: index for index, group in enumerate(groups) for row in group.materials}
-    meshes = list(level.meshes)
+    baked.kept = _kept(level.meshes, corners, material_of)
+    kept_as = {row: len(groups) + index for index, row in enumerate(baked.kept)}
+    meshes = [_with_materials(mesh, kept_as) for mesh in level.meshes]
     for number, part in corners.items():
-        meshes[number] = rebuilt(level.meshes[number], part, material_of)
+        read = {slot.uv_name for job in jobs for slot in job.slots.values() if number in dict(job.group.parts)}
+        for row in baked.kept:
+            read -= {
+                f"TEXCOORD_{ref.texcoord}" for ref in map(texture_ref, slots(asset.materials[row]).values()) if ref
+            }
+        gone = read if options.same_surface else read | {"COLOR_0"}
+        meshes[number] = rebuilt(level.meshes[number], part, material_of, kept_as, gone)
     baked.meshes = tuple(meshes)
     return baked
+
+
+def _kept(meshes: Sequence[Mesh], baked: Mapping[int, Corners], material_of: Mapping[int, int]) -> list[int]:
+    """Rows of materials that are still named: by meshes that are not baked, and by their faces that are not."""
+    rows = set()
+    for number, mesh in enumerate(meshes):
+        named = {p.material for p in mesh.primitives if p.material is not None}
+        rows |= {row for row in named if number not in baked or row not in material_of}
+    return sorted(rows)
+
+
+def _with_materials(mesh: Mesh, rows: Mapping[int, int]) -> Mesh:
+    moved = tuple(p if p.material is None else replace(p, material=rows.get(p.material)) for p in mesh.primitives)
+    return mesh if moved == mesh.primitives else replace(mesh, primitives=moved)
 
 
 def _share(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:
@@ -201,6 +236,8 @@ class _Job:
 
     def _paths(self) -> list[Path]:
         paths = dict.fromkeys(path for _, path in self.slots)
+        if self.options.same_surface and not self.merged:
+            return list(paths)
         wants = self.options.wants
         coloured = any("COLOR_0" in self.meshes[number].attributes for number, _ in self.group.parts)
         if wants(BASE_COLOR) and (self.merged or coloured):
@@ -235,6 +272,8 @@ class _Job:
             count = min(lines, side - top)
             window = (0, top * samples, side * samples, count * samples)
             seen = layout.uv_raster(uv * samples, edges, window, reach * samples, self.options.threads)
+            if self.options.same_surface:
+                _continue_outside(seen, uv * samples, top * samples)
             weight = np.where(seen.inside, np.float32(1), np.where(seen.faces >= 0, np.float32(1e-4), np.float32(0)))
             total = _boxes(weight[..., None], samples)[..., 0]
             known[top : top + count] = total > 0
@@ -281,7 +320,10 @@ class _Job:
                 allowed = source.mesh.face_material == row
                 if not allowed.any():
                     allowed = np.ones(len(allowed), bool)
-                found = source.find(points[chosen], normals[chosen], self.reach, allowed)
+                if self.options.same_surface:
+                    found = Found(faces[chosen], weights[chosen], np.zeros(len(chosen), bool))
+                else:
+                    found = source.find(points[chosen], normals[chosen], self.reach, allowed)
                 inside = seen.inside.ravel()[mine[chosen]]
                 self.texels += int(inside.sum())
                 self.missed += int((found.missed & inside).sum())
@@ -306,7 +348,7 @@ class _Job:
             if path == OCCLUSION:
                 strength = self.infos[row].get(OCCLUSION, {}).get("strength", 1.0)
                 values = 1 + (values - 1) * np.float32(strength)
-        if path == BASE_COLOR:
+        if path == BASE_COLOR and not self.options.same_surface:
             colours = source.blended("COLOR_0", found)
             if colours is not None:
                 has = np.array(["COLOR_0" in p.attributes for p in source.mesh.primitives])
@@ -415,6 +457,25 @@ def _texel_width(corners: F64, uv: F64) -> F64:
     texels = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     width: F64 = np.sqrt(area / np.maximum(texels, 1e-12))
     return width
+
+
+def _continue_outside(seen: layout.UvRaster, uv: F64, top: int) -> None:
+    """Let the faces go on, in `seen.weights`, for the texels outside a chart that bilinear filters reach from inside.
+
+    There the old texture's texels beyond the old border belong, so that the border looks as it did.
+    """
+    rows, columns = np.nonzero((seen.faces >= 0) & ~seen.inside)
+    corners = uv[seen.faces[rows, columns]]
+    centre = np.stack([columns + 0.5, rows + (top + 0.5)], axis=1)
+    away = centre - np.einsum("nkd,nk->nd", corners, seen.weights[rows, columns])
+    a, b, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], centre - corners[:, 0]
+    area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    safe = np.where(np.abs(area) > 1e-9, area, 1.0)
+    v = (p[:, 0] * b[:, 1] - p[:, 1] * b[:, 0]) / safe
+    w = (a[:, 0] * p[:, 1] - a[:, 1] * p[:, 0]) / safe
+    weights = np.stack([1 - v - w, v, w], axis=1)
+    near = (np.abs(away).max(axis=1) <= OUTSIDE) & (np.abs(area) > 1e-9) & (np.abs(weights).max(axis=1) <= FARTHEST)
+    seen.weights[rows[near], columns[near]] = weights[near]
 
 
 def _boxes(values: F32, samples: int) -> F32:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +28,8 @@ class Corners:
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
         self.smooth: F32 = crease_normals(mesh.positions, mesh.faces, 180.0)
-        self.uv: F32 = np.zeros((len(mesh.faces), 3, 2), np.float32)
+        old = mesh.attributes.get("TEXCOORD_0")
+        self.uv: F32 = np.zeros((len(mesh.faces), 3, 2), np.float32) if old is None else old[:, :2][mesh.wedges]
         self.baked = np.zeros(len(mesh.faces), bool)
         self.normals: F32 | None = None
         self.tangents: F32 | None = None
@@ -38,16 +39,16 @@ class Corners:
         self.uv[rows] = uv
         self.baked[rows] = True
 
-    def finish(self, normals: bool) -> None:
-        """Number the UV vertices; with `normals` settle the frames."""
+    def finish(self, normals: bool, given: F32 | None = None) -> None:
+        """Number the UV vertices; with `normals` settle the frames, about `given` normals (F, 3, 3) if there are."""
         self.uv_number: I32 = _equal_rows(self.mesh.faces, self.uv)
         if not normals:
             return
-        given = self.mesh.attributes.get("NORMAL")
-        self.normals = self.smooth.copy()
-        if given is not None:
+        stored = self.mesh.attributes.get("NORMAL")
+        self.normals = self.smooth.copy() if given is None else given
+        if stored is not None and given is None:
             has = np.array(["NORMAL" in p.attributes for p in self.mesh.primitives])[self.mesh.face_primitive]
-            own = given[self.mesh.wedges[has]]
+            own = stored[self.mesh.wedges[has]]
             self.normals[has] = np.where(own.any(axis=2, keepdims=True), own, self.normals[has])
         self.tangents = corner_tangents(self.mesh.positions, self.mesh.faces, self.normals, self.uv)
 
@@ -73,12 +74,17 @@ class Corners:
         return (unit(shares) * 0.5 + 0.5).astype(np.float32)
 
 
-def rebuilt(mesh: Mesh, corners: Corners, material_of: Mapping[int, int]) -> Mesh:
-    """`mesh` with the corners' UVs as its only ones, and `material_of` the old materials (−1: the default) as its own.
+def rebuilt(
+    mesh: Mesh, corners: Corners, material_of: Mapping[int, int], kept_as: Mapping[int, int], gone: Set[str]
+) -> Mesh:
+    """`mesh` with the corners' UVs as TEXCOORD_0, and new materials.
 
-    Vertex colours go: they are in the texture.
+    `material_of` and `kept_as` number old materials (−1: the default one) anew: those whose faces were baked, and the
+    others.
+
+    Attributes in `gone` are left out, and tangents, which belong to the old UVs.
     """
-    gone = {name for name in mesh.attributes if name.startswith("TEXCOORD_")} | {"COLOR_0", "TANGENT"}
+    gone = {*gone, "TEXCOORD_0", "TANGENT"}
     columns = {name: values[mesh.wedges] for name, values in mesh.attributes.items() if name not in gone}
     columns["TEXCOORD_0"] = corners.uv
     if corners.normals is not None and corners.tangents is not None:
@@ -91,10 +97,11 @@ def rebuilt(mesh: Mesh, corners: Corners, material_of: Mapping[int, int]) -> Mes
     numbers = np.zeros(len(mesh.primitives), np.int32)
     # a wedge belongs to one primitive: faces of two that stay apart may not share one
     for index, old in enumerate(mesh.primitives):
-        names = [name for name in old.attributes if name not in gone]
-        made = [name for name in ("TEXCOORD_0", "NORMAL", "TANGENT") if name in columns]
+        row = -1 if old.material is None else old.material
+        names = [name for name in old.attributes if name in columns]
+        made = [name for name in ("TEXCOORD_0", "NORMAL", "TANGENT") if name in columns and row in material_of]
         attributes = tuple(dict.fromkeys([*names, *made]))
-        material = material_of.get(-1 if old.material is None else old.material)
+        material = material_of.get(row, kept_as.get(row))
         new = Primitive(material, attributes, _without_variants(old.gltf))
         if new not in primitives:
             primitives.append(new)

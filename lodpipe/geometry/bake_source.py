@@ -91,7 +91,11 @@ class SourceMesh:
         corners = slot.place(values[:, :2].astype(np.float64)[self.mesh.wedges[found.faces]])
         uv = np.einsum("nkd,nk->nd", corners, found.weights)
         density = self._density(slot, corners, found.faces)
-        return slot.sample(uv, (texel * density).astype(np.float32))
+        seen = slot.sample(uv, (texel * density).astype(np.float32))
+        has = np.array([slot.uv_name in p.attributes for p in self.mesh.primitives])
+        if not has.all():
+            seen[~has[self.mesh.face_primitive[found.faces]]] = (0.5, 0.5, 1.0, 1.0) if slot.is_normal else 1.0
+        return seen
 
     def normals(self, found: Found, slot: Slot | None, texel: F64) -> F32:
         """(N, 3) float32 unit shading normals, bent by the normal map of `slot` if there is one."""

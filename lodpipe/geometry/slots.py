@@ -74,6 +74,7 @@ class Slot:
     nearest: bool
     strength: float
     """The normal map's scale."""
+    is_normal: bool = False
 
     @property
     def uv_name(self) -> str:
@@ -111,4 +112,4 @@ class SlotTextures:
         sampler = self._asset.document["samplers"][said["sampler"]] if "sampler" in said else {}
         wrap = sampler.get("wrapS", REPEAT), sampler.get("wrapT", REPEAT)
         nearest = sampler.get("magFilter") == NEAREST
-        return Slot(ref, self._made[key], wrap, nearest, float(info.get("scale", 1.0)))
+        return Slot(ref, self._made[key], wrap, nearest, float(info.get("scale", 1.0)), is_normal(path))

@@ -1,0 +1,145 @@
+"""Stage `repair_uv`: UVs that a bake, or a comparison by UVs, can stand on."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from lodpipe.core.asset import Asset, Lod
+from lodpipe.core.errors import InvalidMesh
+from lodpipe.geometry.bake import BakeOptions, Group, bake_level, groups_of
+from lodpipe.geometry.bake_source import SourceMesh
+from lodpipe.geometry.camera import Camera, views
+from lodpipe.geometry.render import render
+from lodpipe.geometry.repair import Plan, RepairOptions, new_layout, plan
+from lodpipe.geometry.slots import SlotTextures
+from lodpipe.geometry.surface import Model
+from lodpipe.geometry.texture import Textures
+from lodpipe.io import pixels_of
+from lodpipe.stage import Context, Params, stage
+from lodpipe.stages._textures import Encoding, Format, decoded, finished
+
+VIEWS, SIZE = 6, 384
+"""Pictures by which a repair is judged."""
+
+
+class RepairUvParams(Params):
+    """Parameters of `repair_uv`."""
+
+    when: Literal["needed", "always", "never"] = "needed"
+    """`needed` leaves materials whose UVs are good as they are, to the byte; `always` packs all of them anew."""
+    one_to_one: bool = False
+    """Ask for texels of its own for every face, as bakes and comparisons by UVs do: overlaps, mirrored halves and
+    tiling then count as broken too. Without it only missing UVs do."""
+    padding: float = Field(4.0, ge=1, le=64)
+    """Least distance between two charts, in texels."""
+    size: int | None = Field(None, ge=16, le=16384)
+    """Width and height of new textures; left out: the least power of two in which no texel is lost."""
+    max_size: int = Field(4096, ge=16, le=16384)
+    """No new texture is larger, unless `size` says so; its texels may then be larger than the old ones."""
+    format: Format = "png"
+    """Of new images."""
+    quality: int = Field(95, ge=1, le=100)
+    """Of JPEG and WebP."""
+    least_psnr: float = Field(40.0, ge=0)
+    """A repair that looks less like the source than that, in dB over six pictures, is not taken."""
+    seconds: float = Field(60.0, gt=0)
+    """Time for xatlas to unfold the faces of a mesh that need it."""
+
+
+@stage("repair_uv")
+def repair_uv(asset: Asset, params: RepairUvParams, context: Context) -> Asset:
+    """Mend the source's UVs where they are broken, and move its textures along without loss."""
+    if params.when == "never":
+        return asset
+    if len(asset.lods) > 1:
+        context.warn("repair_uv mends the source; it belongs before the stage that makes levels, and did nothing")
+        return asset
+    options = RepairOptions(
+        one_to_one=params.one_to_one,
+        padding=params.padding,
+        size=params.size,
+        largest=params.max_size,
+        always=params.when == "always",
+        seconds=params.seconds,
+    )
+    plans = [p for p in plan(asset, groups_of(asset, asset.meshes, merge=False), options) if p.reasons]
+    context.record("repaired_materials", len(plans))
+    if not plans:
+        return asset
+    for mesh in asset.meshes:
+        if mesh.keep_reason:
+            context.warn(f"mesh '{mesh.name}' keeps its UVs: {mesh.keep_reason}")
+    repaired = _repaired(asset, plans, options, params, context)
+    psnr = _likeness(asset, repaired, context)
+    context.record("psnr", psnr, "dB")
+    if psnr < params.least_psnr:
+        context.warn(
+            f"the repair was not taken: it looks too different ({psnr:.1f} dB, where at least {params.least_psnr:g} "
+            "are asked for)"
+        )
+        return asset
+    return repaired
+
+
+def _repaired(
+    asset: Asset, plans: list[Plan], options: RepairOptions, params: RepairUvParams, context: Context
+) -> Asset:
+    layouts = []
+    groups: list[Group] = []
+    for planned in plans:
+        names = [asset.materials[row].name or f"materials[{row}]" for row in planned.group.materials if row >= 0]
+        name = ", ".join(names) or "default material"
+        try:
+            uv, side, scale, problem = new_layout(asset, planned, options, context.cancelled)
+        except InvalidMesh as error:
+            context.warn(f"{name}: not repaired: {error}")
+            continue
+        context.log.info("%s: repaired: %s", name, ", ".join(planned.reasons))
+        context.record(f"{name}.size", side, "texels")
+        if scale < 0.999:
+            context.warn(f"{name}: {side} × {side} texels hold its charts at {100 * scale:.0f} % of their size")
+        if problem:
+            context.warn(f"{name}: {problem}; those charts are laid out by direction")
+        planned.group.side = side
+        groups.append(planned.group)
+        layouts.append(uv)
+    if not groups:
+        return asset
+    sources = {number: SourceMesh(asset.meshes[number], context.threads) for g in groups for number, _ in g.parts}
+    level = Lod(asset.meshes)
+    bake = BakeOptions(padding=params.padding, threads=context.threads, samples=1, same_surface=True)
+    baked = bake_level(
+        asset,
+        level,
+        groups,
+        sources,
+        SlotTextures(asset, decoded(asset, context)),
+        0.0,
+        bake,
+        layouts=layouts,
+        progress=lambda share: context.progress(share, 1.0),
+        cancelled=context.cancelled,
+    )
+    encoding = Encoding(params.format, params.quality, asset.name)
+    made = finished(asset, level, baked, encoding, context)
+    whole = asset.at(made)
+    return dataclasses.replace(whole, lods=(Lod(whole.meshes),))
+
+
+def _likeness(before: Asset, after: Asset, context: Context) -> float:
+    """PSNR of the pictures' mean squared difference, in dB; 99 for none."""
+    models = [
+        Model(asset, None, Textures(pixels_of(asset, context.warn)), context.threads) for asset in (before, after)
+    ]
+    squares = []
+    for direction in views(VIEWS):
+        context.check_cancelled()
+        camera = Camera.around(models[0].centre, models[0].radius, direction)
+        a, b = (render(model, camera, SIZE, SIZE, supersample=1).astype(np.float32) for model in models)
+        squares.append(float(np.square(a - b).mean()))
+    mean = float(np.mean(squares))
+    return min(99.0, float(10 * np.log10(255**2 / mean))) if mean > 0 else 99.0
