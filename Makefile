@@ -20,7 +20,7 @@ CXX_SOURCES := $(wildcard lodpipe/kernel/src/* lodpipe/kernel/src/*/*) lodpipe/k
 SITE = $(shell $(PY) -c 'import sysconfig; print(sysconfig.get_path("platlib"))')
 SANITIZE_BUILD := build/sanitize
 
-.PHONY: help demo test test-all test-sanitize lint format stubs bench all setup kernel clean distclean
+.PHONY: help demo demo-watch soak test test-all test-sanitize lint format stubs bench all setup kernel clean distclean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 16
@@ -28,6 +28,9 @@ help:  ## this list
 demo: $(NATIVE) $(SAMPLES)  ## makes the sample models, then four levels and a report of one of them, in out/demo
 	@$(VENV)/bin/lodpipe run sample_assets/animal.glb -c default -o out/demo --force
 	@echo "demo: look into out/demo/animal (report.html, LOD0, LOD1 …)"
+
+demo-watch: $(NATIVE) $(SAMPLES)  ## starts the daemon, drops three models into its folder, shows what it does, stops it
+	@PATH="$(abspath $(VENV))/bin:$$PATH" setup/demo-watch.sh out/demo-watch
 
 test: $(NATIVE) $(SAMPLES) $(VALIDATOR) $(BROWSER)  ## the everyday tests; ARGS='-k name' goes to pytest
 	@$(PY) -m pytest $(ARGS)
@@ -50,6 +53,9 @@ stubs: $(NATIVE)  ## write lodpipe/kernel/_native.pyi anew from the compiled ker
 
 bench: $(NATIVE)  ## time and quality beside the peers; ARGS go to tests/benchmarks/run.py
 	@$(PY) tests/benchmarks/run.py $(ARGS)
+
+soak: $(NATIVE)  ## the daemon's figures: 1,000 assets, 200 kills, 30 minutes of everything; ARGS='soak --seconds 300'
+	@$(PY) tests/benchmarks/daemon.py $(ARGS)
 
 all: lint test-all demo  ## lint, all tests, the demo
 

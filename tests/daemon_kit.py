@@ -1,14 +1,20 @@
-"""A daemon whose clock, threads and workers are the test's: nothing waits, jobs run when they are told to."""
+"""Daemons for tests: one whose clock, threads and workers are the test's, and one in a process of its own."""
 
 from __future__ import annotations
 
 import io as text_io
 import json
 import logging
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from chains import CHAIN, plugin_folder
+from lodpipe.service import control
 from lodpipe.service.chain import load_chain
 from lodpipe.service.clock import Clock
 from lodpipe.service.daemon import Daemon
@@ -16,6 +22,8 @@ from lodpipe.service.job import Job, Outcome, process
 from lodpipe.service.publish import Output
 from lodpipe.service.recipe import Recipe
 from lodpipe.service.table import JobTable, Row
+
+REPO = Path(__file__).parents[1]
 
 
 class HandClock(Clock):
@@ -154,3 +162,47 @@ class World:
 
     def manifest(self, place: str) -> dict[str, Any]:
         return json.loads((self.out / place / "manifest.json").read_text())
+
+
+def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it took too long"
+        time.sleep(0.05)
+
+
+class Running:
+    """`lodpipe watch` in a process of its own."""
+
+    def __init__(self, root: Path, chain: dict | None = None, *options: str, **environment: str) -> None:
+        self.root, self.drop, self.out, self.state = root, root / "drop", root / "out", root / "out" / ".lodpipe"
+        self.drop.mkdir(exist_ok=True)
+        plugin_folder(root)
+        self.config = root / "chain.yaml"
+        self.write_config(chain or {})
+        self.command = [sys.executable, "-m", "lodpipe", "watch", str(self.drop), "-c", str(self.config)]
+        self.command += ["-o", str(self.out), "--plugins", str(root / "stages_for_tests"), "--log", "json", *options]
+        self.environment = os.environ | environment
+        self.log = root / "log"
+        self.start()
+
+    def write_config(self, more: dict) -> None:
+        watch = {"settle_s": 0.2} | more.pop("watch", {})
+        aside = self.config.with_suffix(".new")
+        aside.write_text(json.dumps(CHAIN | more | {"watch": watch}))
+        aside.rename(self.config)
+
+    def start(self) -> None:
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(self.command, cwd=REPO, env=self.environment, stderr=log)
+
+    def says(self, text: str) -> bool:
+        assert self.process.poll() is None or text in self.log.read_text(), self.log.read_text()
+        return text in self.log.read_text()
+
+    def states(self) -> dict[str, str]:
+        return {asset["input"]: asset["state"] for asset in control.status(self.state)["assets"]}
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.wait()

@@ -90,8 +90,9 @@ class _Finder:
             self.needs.members[plain] = max(self.needs.members.get(plain, 0), at_least)
             return path
         wanted = [name for name in (name.replace("\\", "/") for name in names) if name in self.folder.missing]
-        if wanted and wanted[0] not in self.needs.missing:
-            self.needs.missing.append(wanted[0])
+        shown = [name for name in wanted if ":" not in name] or wanted  # rather not the path of another machine
+        if shown and shown[0] not in self.needs.missing:
+            self.needs.missing.append(shown[0])
         self.needs.wanted += [name for name in wanted if name not in self.needs.wanted]
         return None
 

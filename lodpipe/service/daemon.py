@@ -164,6 +164,11 @@ class Daemon:
             pass
 
     @property
+    def outcomes(self) -> int:
+        """Results published and failures recorded since the start."""
+        return self._ledger.outcomes
+
+    @property
     def running(self) -> bool:
         """Whether a job runs."""
         return bool(self._running)

@@ -24,6 +24,8 @@ class Ledger:
         self.root, self.output = root, output
         self.watch = Watch()
         self.rows: dict[str, Row] = {}
+        self.outcomes = 0
+        """Results published and failures recorded since the start."""
         self.load()
 
     def load(self) -> None:
@@ -74,6 +76,7 @@ class Ledger:
                 same_as="",
             )
             self._count(done=1, seconds=row.seconds)
+            self.outcomes += 1
             self._call("done", row)
         self.log.info("%s: %s in %.1f s", row.key, outcome.outcome, row.seconds, extra=about(row))
 
@@ -88,6 +91,7 @@ class Ledger:
         with self.table.transaction():
             self.set(row, FAILED, **_CLEAN | facts | values)
             self._count(failed=1)
+            self.outcomes += 1
             self._call("failed", row)
         self.log.error("%s", outcome.message, extra=about(row))
 

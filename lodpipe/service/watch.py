@@ -10,7 +10,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -23,6 +23,7 @@ from lodpipe.service.discover import STATE
 from lodpipe.service.executors import Settings, find_executor
 from lodpipe.service.hooks import Hooks
 from lodpipe.service.http import StatusServer
+from lodpipe.service.index import Index
 from lodpipe.service.intake import Taken
 from lodpipe.service.lock import take_lock
 from lodpipe.service.notify import notify, watchdog_seconds
@@ -130,7 +131,7 @@ class _Process:
     ) -> None:
         self.request, self.table, self.log = request, table, log
         self.clock, self.waker, self.signals = Clock(), Waker(), _Signals()
-        self.intake = ThreadPoolExecutor(1, "intake")
+        self.intake = ThreadPoolExecutor(2, "beside")  # copies assets, writes the index
         for row in table.rows("state = ?", (RUNNING,)):
             if end_orphan(row.pid, row.pid_start):
                 log.warning("%s: ended a worker that the last daemon left behind", row.key)
@@ -170,6 +171,10 @@ class _Process:
         self._config_looked = self.clock.monotonic()
         self._deadline = float("inf")
         self._told: dict[str, str] = {}
+        self.index = Index(output.root)
+        self._indexed = 0
+        self._indexing: Future[None] = Future()
+        self._indexing.set_result(None)
 
     def _submit(self, work: Callable[[], Taken], then: Callable[[Taken], None]) -> None:
         self.intake.submit(work).add_done_callback(lambda future: then(future.result()))
@@ -198,6 +203,7 @@ class _Process:
                 self.daemon.index.settle()
             self.hooks.look()
             self._tell_problems()
+            self._update_index()
             if self.request.once and (self.daemon.finished or self.daemon.problem):
                 return self._verdict()
             if every and now - last_ping >= every:
@@ -205,6 +211,16 @@ class _Process:
                 notify("WATCHDOG=1")
             time.sleep(SHORTEST_SECONDS)
             self.waker.wait(min(due - self.clock.monotonic(), IDLE_SECONDS))
+
+    def _update_index(self) -> None:
+        """The page over all results, written beside the loop: it may have much to read."""
+        if not self._indexing.done():
+            return
+        if self.daemon.outcomes != self._indexed:
+            self._indexed = self.daemon.outcomes
+            self._indexing = self.intake.submit(self.index.changed)
+        elif not self.daemon.busy:
+            self._indexing = self.intake.submit(self.index.settle)
 
     def _tell_problems(self) -> None:
         problems = dict(self.daemon.executor.problems) if self.daemon.executor else {}
@@ -275,6 +291,7 @@ class _Process:
         if self.daemon.executor:
             self.daemon.executor.close()
         self.intake.shutdown(cancel_futures=True)
+        self.index.settle()
         try:
             self.daemon.last_news()
         except (sqlite3.Error, LodpipeError) as error:

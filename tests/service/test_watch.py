@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import socket
-import subprocess
 import sys
-import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from chains import CHAIN, plugin_folder, write_obj
+from daemon_kit import Running, until
 from lodpipe.core.errors import ConfigError, OutputError
 from lodpipe.service import control
 from lodpipe.service.lock import is_running, take_lock
@@ -25,50 +22,6 @@ from lodpipe.service.recipe import read_recipe
 from lodpipe.service.watch import Request, check_apart, watch
 
 REPO = Path(__file__).parents[2]
-
-
-def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it took too long"
-        time.sleep(0.05)
-
-
-class Running:
-    """`lodpipe watch` in a process of its own."""
-
-    def __init__(self, root: Path, chain: dict | None = None, *options: str, **environment: str) -> None:
-        self.root, self.drop, self.out, self.state = root, root / "drop", root / "out", root / "out" / ".lodpipe"
-        self.drop.mkdir(exist_ok=True)
-        plugin_folder(root)
-        self.config = root / "chain.yaml"
-        self.write_config(chain or {})
-        self.command = [sys.executable, "-m", "lodpipe", "watch", str(self.drop), "-c", str(self.config)]
-        self.command += ["-o", str(self.out), "--plugins", str(root / "stages_for_tests"), "--log", "json", *options]
-        self.environment = os.environ | environment
-        self.log = root / "log"
-        self.start()
-
-    def write_config(self, more: dict) -> None:
-        watch = {"settle_s": 0.2} | more.pop("watch", {})
-        aside = self.config.with_suffix(".new")
-        aside.write_text(json.dumps(CHAIN | more | {"watch": watch}))
-        aside.rename(self.config)
-
-    def start(self) -> None:
-        with self.log.open("ab") as log:
-            self.process = subprocess.Popen(self.command, cwd=REPO, env=self.environment, stderr=log)
-
-    def says(self, text: str) -> bool:
-        assert self.process.poll() is None or text in self.log.read_text(), self.log.read_text()
-        return text in self.log.read_text()
-
-    def states(self) -> dict[str, str]:
-        return {asset["input"]: asset["state"] for asset in control.status(self.state)["assets"]}
-
-    def end(self) -> None:
-        self.process.kill()
-        self.process.wait()
 
 
 @pytest.fixture
