@@ -82,7 +82,7 @@ def _row(asset: Mapping[str, Any], now: float, style: Style) -> tuple[str, ...]:
     if "stage" in asset:
         text = f"{asset['stage']} {asset['share']:.0%}"
     elif asset["message"]:
-        text = asset["message"]
+        text = asset["message"].partition(f"{asset['input']}: ")[2] or asset["message"]  # its name stands before it
     elif "same_as" in asset:
         text = f"the same content as {asset['same_as']}"
     else:
