@@ -25,7 +25,7 @@ from lodpipe.service.executors import find_executor
 from lodpipe.service.notify import notify, watchdog_seconds
 from lodpipe.service.table import JobTable
 
-REPO = Path(__file__).parents[2]
+REPO = Path(__file__).parents[1]
 PROMISES = (REPO / "docs" / "operations.md").read_text(encoding="utf-8")
 
 
