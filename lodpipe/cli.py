@@ -152,7 +152,7 @@ def _parser() -> argparse.ArgumentParser:
 
     skeleton = commands.add_parser("skeleton", help="find a model's skeleton and segments", description=_SKELETON)
     skeleton.add_argument("asset", metavar="ASSET")
-    skeleton.add_argument("--method", choices=("geodesic",), default="geodesic", help="default: %(default)s")
+    skeleton.add_argument("--method", choices=("geodesic", "dcg"), default="geodesic", help="default: %(default)s")
     skeleton.add_argument("--json", action="store_true", help="as JSON")
     skeleton.add_argument("-o", "--output", metavar="OUT.glb", help="write the skeleton and coloured segments")
     skeleton.set_defaults(command=_skeleton)

@@ -15,8 +15,13 @@ def blob(fields, low, high, step=0.06, blend=0.08):
     return Mesh(*polygonise(union(fields, blend), planes))
 
 
-def star(arms, radius=0.14, hub=0.0, turn=0.3):
+def star(arms, radius=0.14, hub=0.0):
     """`arms` arms of length 1 from one place, spread over the sphere, about a ball of radius `hub`."""
+    reach = (1 + max(radius, hub),) * 3
+    return blob(star_fields(arms, radius, hub), -np.array(reach), reach)
+
+
+def star_fields(arms, radius=0.14, hub=0.0, turn=0.3):
     i = np.arange(arms) + 0.5
     z = 1 - 2 * i / arms if arms > 2 else np.zeros(arms)
     angle = np.pi * (1 + 5**0.5) * i + turn if arms > 2 else np.arange(arms) * 2.4 + turn
@@ -24,8 +29,7 @@ def star(arms, radius=0.14, hub=0.0, turn=0.3):
     fields = [capsule((0, 0, 0), end, radius) for end in ends]
     if hub:
         fields.append(capsule((0, 0, 0), (1e-3, 0, 0), hub))
-    reach = (1 + max(radius, hub),) * 3
-    return blob(fields, -np.array(reach), reach)
+    return fields
 
 
 def tree(seed):

@@ -13,9 +13,10 @@ from lodpipe.core.mesh import F64, I32
 from lodpipe.core.skeleton import NODE_TYPES, Skeleton, SkeletonComponent
 from lodpipe.geometry import skeleton_field as fields
 from lodpipe.geometry.skeleton_bands import BandGraph, band_graph
+from lodpipe.geometry.skeleton_dcg import add_prongs, domain_net, proxy, without_tips
 from lodpipe.geometry.skeleton_net import Net
 from lodpipe.geometry.skeleton_rays import Rays
-from lodpipe.geometry.skeleton_surface import Bool, Surface
+from lodpipe.geometry.skeleton_surface import I64, Bool, Surface
 
 TRUNK = 2.0
 """The fattest node of a component without joints is its trunk if it is so many times as fat as its branch is."""
@@ -64,7 +65,8 @@ def skeleton(asset: Asset, options: SkeletonOptions | None = None, threads: int 
     surface = Surface.of(asset)
     if not len(surface.faces):
         return _empty(asset, options.method)
-    return _geodesic(surface, options, Rays(surface, threads))
+    method = _dcg if options.method == "dcg" else _geodesic
+    return method(surface, options, Rays(surface, threads))
 
 
 def _geodesic(surface: Surface, options: SkeletonOptions, rays: Rays) -> Skeleton:
@@ -94,6 +96,45 @@ def _geodesic(surface: Surface, options: SkeletonOptions, rays: Rays) -> Skeleto
         net.bend(rays, vertex)
     _, level = fields.level_of(x, graph.cuts, surface.component)
     return _finished(surface, net, vertex, level, _on_level(surface, x, graph.cuts), rays, options)
+
+
+def _dcg(surface: Surface, options: SkeletonOptions, rays: Rays) -> Skeleton:
+    source = fields.far_ends(surface)
+    x, unit = fields.normalised(surface, fields.distances(surface, source, options.distance))
+    cuts = fields.cuts_of(surface, x, unit, options.levels)
+    small, row = proxy(surface)
+    few = rays if small is surface else Rays(small, rays.threads)
+    start = fields.far_ends(small)
+    net, vertex = domain_net(small, few, fields.distances(small, start))
+    least = options.least_branch / 100 * small.diagonals
+    least[small.diagonals < SPECK] = np.inf
+    tips = _tips_of(small, fields.mean_distance(small, start), least, options)
+    vertex = add_prongs(small, net, vertex, tips)
+    without_tips(net, vertex, [tip for tip, _, _ in tips])
+    net.trim(few, small.points, vertex)
+    net.prune(least, straight=True)
+    net.join_joints(least)
+    if options.centre:
+        net.centre([n for n in net.alive if 0 < len(net.near[n]) < 3], few, vertex)
+        net.bend(few, vertex)
+    _, level = fields.level_of(x, cuts, surface.component)
+    return _finished(surface, net, vertex[row], level, _on_level(surface, x, cuts), rays, options)
+
+
+def _tips_of(surface: Surface, mean: F64, least: F64, options: SkeletonOptions) -> list[tuple[int, F64, I64]]:
+    """The tips of the mean distance: vertex, the middle of the last band, and the vertices of the branch."""
+    x, unit = fields.normalised(surface, mean)
+    graph = band_graph(surface, x, fields.cuts_of(surface, x, unit, options.levels))
+    net = _net(graph, unit)
+    net.prune(PERSISTENCE * least)
+    domain = net.owners()[graph.vertex]
+    tips = []
+    for leaf in [n for n in net.alive if len(net.near[n]) == 1]:
+        branch = net.path(leaf, next(iter(net.near[leaf])))[:-1]
+        region = np.flatnonzero(np.isin(domain, branch))
+        if len(region) and net.height[leaf] >= net.height[branch[-1]]:
+            tips.append((int(region[mean[region].argmax()]), net.place[leaf], region))
+    return tips
 
 
 def _with_missed_branches(

@@ -19,8 +19,8 @@ DEFAULTS = SkeletonOptions()
 class SkeletonParams(Params):
     """Parameters of `skeleton`."""
 
-    method: Literal["geodesic"] = "geodesic"
-    """`geodesic`: level sets of a distance along the surface."""
+    method: Literal["geodesic", "dcg"] = DEFAULTS.method
+    """`geodesic`: level sets of a distance along the surface; `dcg`: balls that a repulsive force puts inside."""
     distance: Literal["dijkstra", "heat"] = DEFAULTS.distance
     """`dijkstra`: shortest paths along edges; `heat`: smoother and slower, needs the package potpourri3d."""
     sources: Literal["single", "multi"] = DEFAULTS.sources

@@ -22,6 +22,7 @@ WAYS = {
     "formula": SkeletonOptions(levels="formula"),
     "forty": SkeletonOptions(levels=40),
     "heat": SkeletonOptions(distance="heat"),
+    "dcg": SkeletonOptions(method="dcg"),
 }
 
 
@@ -75,7 +76,7 @@ def test_loops_are_handles(way, mesh, genus):
     assert [p.cycle_rank for p in found.components] == [genus] == [rank(found)]
 
 
-@pytest.mark.parametrize("way", ["default", "single"])
+@pytest.mark.parametrize("way", ["default", "single", "dcg"])
 def test_loops_of_crossing_rings(way):
     found = of(double_ring(), options=WAYS[way])
     assert found.components[0].genus == 3
@@ -107,16 +108,17 @@ def test_a_star_has_an_end_for_each_arm(arms, hub):
     assert found.components[0].inside_share == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("way", ["single", "formula", "forty", "heat"])
+@pytest.mark.parametrize("way", ["single", "formula", "forty", "heat", "dcg"])
 def test_a_star_by_other_ways(way):
     assert of(limbs.star(5), options=WAYS[way]).count("end") == 5
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+@pytest.mark.parametrize("way", ["default", "dcg"])
+@settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 @given(st.integers(0, 10_000))
-def test_random_trees_of_capsules(seed):
+def test_random_trees_of_capsules(way, seed):
     mesh, ends = limbs.tree(seed)
-    found = of(mesh)
+    found = of(mesh, options=WAYS[way])
     assert found.count("end") == ends
     assert rank(found) == found.components[0].cycle_rank == 0
     assert found.components[0].inside_share >= 0.98
@@ -208,7 +210,7 @@ ODD = {
 }
 
 
-@pytest.mark.parametrize("way", ["default", "heat"])
+@pytest.mark.parametrize("way", ["default", "heat", "dcg"])
 @pytest.mark.parametrize("name", ODD)
 def test_odd_meshes_give_something_for_each_component(name, way):
     found = of(ODD[name], options=WAYS[way])
@@ -239,6 +241,16 @@ def test_options_out_of_range():
         of(meshes.box(), options=SkeletonOptions(levels=1))
     with pytest.raises(InvalidMesh, match="least_branch"):
         of(meshes.box(), options=SkeletonOptions(least_branch=-1))
+
+
+def test_domains_are_carried_from_the_proxy():
+    """More triangles than balls are looked for on: every vertex has a node near it all the same."""
+    mesh = limbs.blob(limbs.star_fields(4), (-1.2,) * 3, (1.2,) * 3, step=0.033)
+    assert len(mesh.faces) > 8000
+    found = of(mesh, options=WAYS["dcg"])
+    assert found.count("end") == 4
+    away = np.linalg.norm(mesh.positions - found.positions[found.vertex_node[0]], axis=1)
+    assert np.quantile(away, 0.95) < 0.4
 
 
 NAMED = {
