@@ -27,7 +27,7 @@ from lodpipe.service.executors import Executor
 from lodpipe.service.index import Index
 from lodpipe.service.intake import Order, Taken, take_in
 from lodpipe.service.job import AGAIN, INPUT, PASSING, Failure, Job, Outcome, fail
-from lodpipe.service.ledger import Ledger, about
+from lodpipe.service.ledger import LONGEST_PAUSE, Ledger, about
 from lodpipe.service.pool import process_start
 from lodpipe.service.priority import priority_of, rank
 from lodpipe.service.publish import Output
@@ -392,9 +392,9 @@ class Daemon:
 
     def _next_try(self) -> float:
         """When a queued asset that was put off is due, as monotonic time."""
-        later = [row.not_before for row in self._ledger.rows.values() if row.state == QUEUED and row.not_before]
-        ahead = min(later, default=NEVER) - self.clock.time()
-        return self.clock.monotonic() + ahead if ahead > 0 else NEVER
+        now = self.clock.time()
+        ahead = [_ahead(row, now) for row in self._ledger.rows.values() if row.state == QUEUED]
+        return self.clock.monotonic() + min(filter(None, ahead), default=NEVER)
 
     def _dispatch(self) -> None:
         if self.draining or self.paused or self.problem:
@@ -413,7 +413,7 @@ class Daemon:
             (
                 row
                 for row in queued
-                if row.not_before <= now
+                if not _ahead(row, now)
                 and row.key not in self._taking
                 and row.key not in self._ready
                 and row.content not in held
@@ -585,3 +585,9 @@ class Daemon:
 
 def _folder(key: str) -> str:
     return key.rpartition("/")[0]
+
+
+def _ahead(row: Row, now: float) -> float:
+    """For how many seconds an asset is put off yet; a clock that was set back does not put it off for longer."""
+    ahead = row.not_before - now
+    return ahead if 0 < ahead <= 2 * LONGEST_PAUSE else 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import fcntl
 import json
 import os
@@ -86,7 +87,10 @@ class Output:
         self.check_place(place)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
+            for path in (*sorted(built.rglob("*")), built):
+                _sync(path)  # a name must not reach the disk before its content does
             self._put(built, target, place)
+            _sync(target.parent)
         except OSError as error:
             raise _unwritable(target, error) from error
         self.forget_failure(place)
@@ -133,6 +137,18 @@ class Output:
                 target.rename(aside / "revision")
                 built.rename(target)
                 shutil.rmtree(aside, ignore_errors=True)
+
+
+def _sync(path: Path) -> None:
+    """Have the disk hold a file's content, or a folder's names, before anything else is done."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems that cannot
+            raise
+    finally:
+        os.close(handle)
 
 
 def _exchange(a: Path, b: Path) -> bool:

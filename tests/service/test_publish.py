@@ -56,6 +56,15 @@ def test_the_exchange_is_one_step_where_the_system_has_it(tmp_path):
     assert not publish._exchange(a, tmp_path / "none")
 
 
+def test_all_of_a_result_is_on_the_disk_before_its_name_is(tmp_path, monkeypatch):
+    done = []
+    monkeypatch.setattr(publish, "_sync", lambda path: done.append(path.name))
+    put = Output._put
+    monkeypatch.setattr(Output, "_put", lambda self, *rest: done.append("put") or put(self, *rest))
+    publish_text(Output(tmp_path / "out"), "one")
+    assert done == ["a.txt", "manifest.json", "built", "put", "farm"]
+
+
 def test_a_failure_between_leaves_the_old_revision(tmp_path, monkeypatch):
     output = Output(tmp_path / "out")
     folder = publish_text(output, "one")
