@@ -78,6 +78,25 @@ def test_one_that_hangs_is_ended(make, tmp_path, monkeypatch):
     assert list((tmp_path / "out" / ".lodpipe").iterdir()) == []
 
 
+def test_one_that_takes_more_memory_than_its_own_limit_let_it_is_ended(make, monkeypatch):
+    monkeypatch.setattr(pool, "resident_gb", lambda pid: 99.0)
+    (outcome,) = run_isolated([make("fat", {"fail": {"how": "hang"}})], 1, nothing)
+    assert "needs more memory than the limit of 8 GB" in outcome.message
+    assert outcome.nature == "again"
+
+
+def test_an_orphan_is_ended_and_only_that(make):
+    process = subprocess.Popen(["sleep", "60"], start_new_session=True)
+    start = pool.process_start(process.pid)
+    assert start > 0
+    assert not pool.end_orphan(process.pid, start + 1)  # the id of another process by now
+    assert not pool.end_orphan(0, 0)
+    assert process.poll() is None
+    assert pool.end_orphan(process.pid, start)
+    assert process.wait(20) == -signal.SIGKILL
+    assert pool.process_start(process.pid) == 0
+
+
 def children(pid: int) -> list[int]:
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
