@@ -36,8 +36,13 @@ def large():
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"placement": "endpoint"}, {"attribute_cost": False, "keep_topology": False}],
-    ids=["attributes", "endpoint", "planes"],
+    [
+        {},
+        {"placement": "endpoint"},
+        {"attribute_cost": False, "keep_topology": False},
+        {"attribute_cost": False, "keep_topology": False, "round_share": 0.7},
+    ],
+    ids=["attributes", "endpoint", "planes", "fast"],
 )
 def test_any_number_of_threads_gives_the_same_bytes(large, changes):
     arrays = {"wedges": large.wedges, "values": large.values, "column_weights": WEIGHTS}

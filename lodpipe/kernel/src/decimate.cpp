@@ -1,49 +1,43 @@
 // The loop: evaluate, pick, collapse, until the targets are met.
 //
-// A round evaluates what changed, picks the cheapest share of the candidates in order of cost, and collapses those
-// whose two vertices were not yet touched in the round: their cost is still exact. Blocks of the Morton order are
-// collapsed side by side; a collapse whose ring leaves its block waits for the others to end. Blocks depend on the mesh
-// alone, so the result is the same for any number of threads.
+// A round evaluates what changed, picks the cheapest share of the candidates, and collapses those whose cost is still
+// exact. Blocks of the Morton order, small enough for a core's cache, are collapsed side by side, and gone through again
+// for what has become cheap enough meanwhile. A collapse whose ring leaves its block waits for blocks that lie otherwise,
+// or for all others to end. Blocks depend on the mesh alone, so the result is the same for any number of threads.
 #include "decimate.h"
 
 #include <array>
 #include <cmath>
-#include <memory>
 #include <numeric>
 
+#include "around.h"
 #include "merge.h"
 #include "mesh_state.h"
 #include "prepare.h"
+#include "results.h"
 
 namespace lodpipe {
 namespace {
 
-constexpr int kGrain = 512;              // vertices a piece of parallel work
-constexpr int kBlocks = 16;
-constexpr int kLeastBlock = 2048;        // live vertices
-constexpr float kLeastQuality = 1e-3f;   // 2·area / longest edge², below which a new face is a sliver
-constexpr size_t kSmallRing = 48;        // up to here a linear search beats sorting
-constexpr size_t kSample = 4096;           // costs that are looked at to find a share's limit
+constexpr int kGrain = 512;        // vertices a piece of parallel work
+constexpr int kBlock = 3072;       // vertices whose state fits into a core's cache
+constexpr int kLeastBlock = 1024;  // live vertices
+constexpr size_t kSample = 4096;   // costs that are looked at to find a share's limit
 constexpr size_t kFew = 64;
-constexpr int kNext[3] = {1, 2, 0};
-
-struct Neighbour {
-  int32_t vertex;
-  int32_t faces;  // triangles at the vertex that have it as a corner
-};
+constexpr int kVanishFaces = 4;    // a component of so few faces goes as a whole
 
 // Working memory of one thread.
 struct Scratch {
-  Buffer<int32_t> owned, ring_v, ring_u, between, before;
-  Buffer<Neighbour> near_v, near_u;
+  Buffer<int32_t> owned, component;
   Buffer<float> costs;
+  Around around;
   Merge merge;
 };
 
 class Decimator {
  public:
   Decimator(const Input& in, const Options& options, const std::function<bool(int64_t, int64_t)>& progress)
-      : in_(in), options_(options), progress_(progress), pool_(std::max(options.threads, 1)) {
+      : in_(in), options_(options), progress_(progress), pool_(std::max(options.threads, 1)), results_(in_, s_) {
     prepare(in_, options_, pool_, s_);
     keep_topology_ = options_.keep_topology;
     if (options_.follow) {
@@ -64,73 +58,54 @@ class Decimator {
         if (!progress_(start - s_.triangles, start - last)) stop = Stop::cancelled;
         else if (!round(s_.triangles - target)) stop = stuck();
       }
-      emit(target, s_.triangles <= target ? Stop::triangles : stop);
+      results_.emit(target, s_.triangles <= target ? Stop::triangles : stop, relaxed_, options_.follow);
     }
-    return std::move(result_);
+    return std::move(results_.result);
   }
 
  private:
   // ---------------------------------------------------------------- evaluate
+  // Threads write to the candidates of their own vertices alone, and read nothing that others write.
 
-  // Calls body(corner, face) for the live faces round v; dead ones are taken out of the list on the way.
-  template <class Body>
-  void each_face(Vertex& v, const Body& body) {
-    for (int32_t* link = &v.head; *link != kNone;) {
-      const int32_t c = *link;
-      Face& f = s_.faces[face_of(c)];
-      int32_t& next = f.next[slot_of(c)];
-      if (f.dead()) {
-        *link = next;
-        continue;
-      }
-      body(c, f);
-      link = &next;
-    }
-  }
-
-  // The cheapest collapse among the edges that v owns (those to vertices of a higher number).
-  void evaluate(int32_t v, Scratch& w) {
-    Vertex& a = s_.vertices[v];
-    uint8_t& flags = s_.flags[v];
-    if (flags & kDirty) a.skip = 0;
-    flags &= static_cast<uint8_t>(~(kDirty | kRetry | kVanish));
-    w.owned.clear();
+  // The cheapest collapse among the edges that v owns (those to vertices of a higher number). False, and nothing done,
+  // if a neighbour is outside the vertices [begin, end).
+  bool evaluate(int32_t v, int32_t begin, int32_t end, Scratch& w) {
+    Candidate& own = s_.candidates[v];
+    const bool regular = !(s_.flags[v] & kIrregular);  // each neighbour follows v in just one face
+    int32_t* owned = w.owned.refill(2 * static_cast<size_t>(s_.vertices[v].count));
     int faces = 0;
-    if (flags & kIrregular) {
-      each_face(a, [&](int32_t c, const Face& f) {
-        ++faces;
-        for (int k = 0; k < 3; ++k)
-          if (f.v[k] > v && k != slot_of(c)) w.owned.push_back(f.v[k]);
-      });
+    bool inside = true;
+    Around::each(s_, v, [&](const Spoke& spoke) {
+      ++faces;
+      inside &= (spoke.next >= begin && spoke.next < end) || spoke.next == kNone;
+      if (spoke.next > v) *owned++ = spoke.next;
+      if (regular) return;
+      inside &= (spoke.previous >= begin && spoke.previous < end) || spoke.previous == kNone;
+      if (spoke.previous > v) *owned++ = spoke.previous;
+    });
+    w.owned.end_at(owned);
+    if (!inside) return false;
+    const int32_t skip = own.todo & kDirty ? 0 : own.skip;
+    own = {kInfinity, kNone, skip, static_cast<uint8_t>(skip ? kPassedOver : 0)};
+    if (!regular) {
       std::sort(w.owned.begin(), w.owned.end());
       w.owned.resize(std::unique(w.owned.begin(), w.owned.end()) - w.owned.begin());
-    } else {  // each neighbour follows v in just one face
-      each_face(a, [&](int32_t c, const Face& f) {
-        ++faces;
-        const int32_t u = f.v[kNext[slot_of(c)]];
-        if (u > v) w.owned.push_back(u);
-      });
     }
-    s_.cost[v] = kInfinity;
-    s_.partner[v] = kNone;
-    if (!faces) {
-      flags |= kDead;
-      return;
+    if (!faces) s_.flags[v] |= kDead;  // which nobody else reads: it has no neighbours
+    if (w.owned.empty()) return true;
+    if (faces < kVanishFaces && gather_component(v, w.component)) {
+      own.todo |= kVanish;
+      if (skip == 0) own.cost = vanishing_cost(w.component), own.partner = w.owned[0];
+      return true;
     }
-    if (w.owned.empty()) return;
-    if (faces < kVanishFaces && gather_component(v, w.before)) {
-      flags |= kVanish;
-      if (a.skip == 0) s_.cost[v] = vanishing_cost(w.before), s_.partner[v] = w.owned[0];
-      return;
-    }
+    if (skip >= static_cast<int32_t>(w.owned.size())) return true;
     w.costs.resize(w.owned.size());
     w.merge.costs(s_, options_, v, w.owned, w.costs.data());
-    if (a.skip >= static_cast<int32_t>(w.owned.size())) return;
     for (int n = 0;; ++n) {
       const auto best = std::min_element(w.costs.begin(), w.costs.end());
-      if (n == a.skip) {
-        if (*best < kInfinity) s_.cost[v] = *best, s_.partner[v] = w.owned[best - w.costs.begin()];
-        return;
+      if (n == skip) {
+        if (*best < kInfinity) own.cost = *best, own.partner = w.owned[best - w.costs.begin()];
+        return true;
       }
       *best = kInfinity;
     }
@@ -143,15 +118,15 @@ class Decimator {
     int faces = 0;
     for (size_t i = 0; i < members.size(); ++i) {
       int here = 0;
-      for (int32_t c = s_.vertices[members[i]].head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)]) {
-        const Face& f = s_.faces[face_of(c)];
-        if (f.dead()) continue;
-        if (f.link() || ++here > kVanishFaces) return false;
-        if (slot_of(c) == 0) ++faces;
-        for (const int32_t u : f.v)
+      bool links = false;
+      Around::each(s_, members[i], [&](const Spoke& spoke) {
+        links |= spoke.link();
+        if (++here > kVanishFaces || links) return;
+        faces += slot_of(spoke.corner) == 0;
+        for (const int32_t u : {spoke.next, spoke.previous})
           if (std::find(members.begin(), members.end(), u) == members.end()) members.push_back(u);
-      }
-      if (members.size() > 4 || (s_.flags[members[i]] & kLocked)) return false;
+      });
+      if (links || here > kVanishFaces || members.size() > 4 || (s_.flags[members[i]] & kLocked)) return false;
     }
     return faces <= kVanishFaces;
   }
@@ -178,22 +153,24 @@ class Decimator {
   void pick(size_t most) {
     order_.clear();
     sample_.clear();
+    const auto cost = [&](int32_t v) { return s_.candidates[v].cost; };
     const size_t step = std::max<size_t>(1, s_.live.size() / kSample);
     size_t looked = 0;
     for (size_t i = 0; i < s_.live.size(); i += step, ++looked)
-      if (s_.cost[s_.live[i]] < kInfinity) sample_.push_back(s_.cost[s_.live[i]]);
-    float limit = std::numeric_limits<float>::max();
+      if (cost(s_.live[i]) < kInfinity) sample_.push_back(cost(s_.live[i]));
+    float& limit = limit_ = std::numeric_limits<float>::max();
     const auto wanted = static_cast<size_t>(options_.round_share * static_cast<float>(looked));
     if (wanted + 1 < sample_.size()) {
       std::nth_element(sample_.begin(), sample_.begin() + static_cast<int64_t>(wanted), sample_.end());
       limit = sample_[wanted];
     }
     for (const int32_t v : s_.live)
-      if (s_.cost[v] <= limit) order_.push_back(v);
-    const auto cheaper = [&](int32_t a, int32_t b) { return s_.cost[a] != s_.cost[b] ? s_.cost[a] < s_.cost[b] : a < b; };
+      if (cost(v) <= limit) order_.push_back(v);
+    const auto cheaper = [&](int32_t a, int32_t b) { return cost(a) != cost(b) ? cost(a) < cost(b) : a < b; };
     if (order_.size() > most) {
       std::nth_element(order_.begin(), order_.begin() + static_cast<int64_t>(most), order_.end(), cheaper);
       order_.resize(most);
+      limit = cost(*std::max_element(order_.begin(), order_.end(), cheaper));
       std::sort(order_.begin(), order_.end());
     }
     if (order_.size() < kFew) std::sort(order_.begin(), order_.end(), cheaper);
@@ -204,106 +181,176 @@ class Decimator {
   enum class Outcome { done, touched, wait, refused };
 
   struct Block {
-    std::vector<int32_t> todo, waiting;  // rows of order_
-    int64_t removed = 0, done = 0;  // triangles, collapses
+    int32_t begin = 0, end = 0;    // vertices
+    bool whole = false;            // all of them: nothing needs to wait
+    std::vector<int32_t> todo;     // rows of order_
+    std::vector<int32_t> waiting;
+    std::vector<int32_t> changed;  // vertices to evaluate again
+    int64_t budget = 0;            // triangles that may go
+    int64_t removed = 0, done = 0; // triangles, collapses
     std::array<int64_t, kStops> refused{};
-    std::unique_ptr<Scratch> scratch = std::make_unique<Scratch>();
-    Record record;
-    std::vector<int32_t> ranks;  // of the record's rows
+    Notes notes;
+    CornerLists::Room room;
+
+    void start(int64_t from, int64_t to) {
+      begin = static_cast<int32_t>(from), end = static_cast<int32_t>(to);
+      todo.clear(), waiting.clear(), changed.clear(), notes.clear();
+      budget = removed = done = 0, refused = {};
+    }
+    bool has(int32_t v) const { return v >= begin && v < end; }
   };
 
   // One round. False if nothing could be collapsed and nothing is left to be tried.
   bool round(int64_t wanted) {
-    ++round_;
+    constexpr int32_t all = std::numeric_limits<int32_t>::max();
     pool_.range(static_cast<int>(s_.live.size()), kGrain, [&](int begin, int end) {
       thread_local Scratch w;
       for (int i = begin; i < end; ++i)
-        if (s_.flags[s_.live[i]] & (kDirty | kRetry)) evaluate(s_.live[i], w);
+        if (s_.candidates[s_.live[i]].todo & (kDirty | kRetry)) evaluate(s_.live[i], 0, all, w);
     });
     s_.live.erase(std::remove_if(s_.live.begin(), s_.live.end(), [&](int32_t v) { return s_.flags[v] & kDead; }),
                   s_.live.end());
+    if (s_.corners.nearly_full()) compact_corners();
     // A collapse removes two triangles at most (others are left to the last part): so many cannot overshoot.
     pick(static_cast<size_t>(std::max<int64_t>(1, (wanted + 1) / 2)));
     if (order_.empty()) return false;
-    const auto count = static_cast<int32_t>(order_.size());
-    const int block_count =
-        std::clamp(static_cast<int>(s_.live.size() / kLeastBlock), 1, kBlocks);
-    blocks_.resize(kBlocks + 1);
-    for (Block& b : blocks_) b.todo.clear(), b.waiting.clear(), b.removed = b.done = 0, b.refused = {}, b.record = {}, b.ranks.clear();
-    Block& rest = blocks_[kBlocks];
-    int32_t width = std::numeric_limits<int32_t>::max();
-    if (block_count > 1) {
-      width = static_cast<int32_t>(s_.vertices.size() / block_count + 1);
-      for (int32_t i = 0; i < count; ++i) {
-        const int32_t v = order_[i];
-        const int32_t b = v / width;
-        (s_.partner[v] / width == b ? blocks_[b].todo : rest.todo).push_back(i);
+    waiting_.resize(order_.size());
+    for (size_t i = 0; i < order_.size(); ++i) waiting_[i] = static_cast<int32_t>(i);
+    tried_ = 0;
+    const auto size = static_cast<int64_t>(s_.vertices.size());
+    const int64_t count = std::min<int64_t>(size / kBlock, static_cast<int64_t>(s_.live.size()) / kLeastBlock);
+    if (count > 1) {
+      const int64_t width = size / count + 1;
+      for (const int64_t shift : {int64_t{0}, width / 2}) {  // what one division cuts the other does not
+        start_blocks(static_cast<size_t>(count) + 1);
+        for (int64_t b = 0; b <= count; ++b)
+          blocks_[b].start(std::max<int64_t>(b * width - shift, 0), std::min((b + 1) * width - shift, size));
+        for (const int32_t i : waiting_) blocks_[(order_[i] + shift) / width].todo.push_back(i);
+        run_blocks(wanted);
       }
-      pool_.run(block_count, [&](int b) {
-        for (const int32_t i : blocks_[b].todo)
-          if (collapse(i, b, width, wanted, blocks_[b]) == Outcome::wait) blocks_[b].waiting.push_back(i);
-      });
-      for (int b = 0; b < block_count; ++b) {
-        rest.todo.insert(rest.todo.end(), blocks_[b].waiting.begin(), blocks_[b].waiting.end());
-        rest.removed += blocks_[b].removed;
-      }
-      std::sort(rest.todo.begin(), rest.todo.end());
-    } else {
-      for (int32_t i = 0; i < count; ++i) rest.todo.push_back(i);
     }
-    for (const int32_t i : rest.todo)
-      if (rest.removed < wanted) collapse(i, -1, width, wanted, rest);
-    s_.triangles -= rest.removed;
-    int64_t tried = 0;  // links remove no triangle, and yet they are progress
-    for (const Block& b : blocks_) {
-      tried += b.done;
-      for (size_t k = 0; k < b.refused.size(); ++k) refused_[k] += b.refused[k], tried += b.refused[k];
-    }
-    merge_records();
-    return tried > 0;
+    start_blocks(1);
+    blocks_[0].start(0, size);
+    blocks_[0].whole = true;
+    blocks_[0].todo.swap(waiting_);
+    run_blocks(wanted);
+    blocks_[0].whole = false;
+    return tried_ > 0;
   }
 
-  // Collapses candidate `i`. block < 0: anything goes; else only what stays inside the block and removes two faces.
-  Outcome collapse(int32_t i, int block, int32_t width, int64_t wanted, Block& out) {
-    int32_t v = order_[i], u = s_.partner[v];
-    if (s_.stamp[v] == round_ || s_.stamp[u] == round_ || ((s_.flags[v] | s_.flags[u]) & kDead)) return Outcome::touched;
-    Scratch& w = *out.scratch;
-    if (s_.flags[v] & kVanish) {
-      if (block >= 0) return Outcome::wait;
-      return vanish(i, v, w, out);
+  // Lists anew, without those of dead vertices and without dead faces.
+  void compact_corners() {
+    std::vector<int32_t> items;
+    std::vector<int64_t> start;
+    for (const int32_t v : s_.live) {
+      start.push_back(static_cast<int64_t>(items.size()));
+      Around::each(s_, v, [&](const Spoke& spoke) { items.push_back(spoke.corner); });
     }
-    const int shared = surround(v, u, w);
-    if (block >= 0 && !(inside(w.near_v, block, width) && inside(w.near_u, block, width))) return Outcome::wait;
-    if (block >= 0 && shared > 2) return Outcome::wait;
-    if (shared > 2 && shared > wanted - out.removed && out.removed > 0) return Outcome::touched;
-    if (options_.keep_last && block < 0 && s_.triangles - out.removed <= shared) return refuse(order_[i], out, Stop::last);
+    start.push_back(static_cast<int64_t>(items.size()));
+    s_.corners.start(static_cast<int64_t>(items.size()));
+    for (size_t i = 0; i < s_.live.size(); ++i) {
+      Vertex& a = s_.vertices[s_.live[i]];
+      a.first = static_cast<int32_t>(start[i]), a.count = static_cast<int32_t>(start[i + 1] - start[i]);
+      std::copy(items.begin() + start[i], items.begin() + start[i + 1], s_.corners.at(a));
+    }
+    for (Block& b : blocks_) b.room = {};
+  }
+
+  void start_blocks(size_t count) {
+    block_count_ = count;
+    if (blocks_.size() < count) blocks_.resize(count);
+  }
+
+  // Collapses what the blocks have to do; what has to wait comes to waiting_. Takes what went off `wanted`.
+  void run_blocks(int64_t& wanted) {
+    const auto tasks = std::max<int64_t>(static_cast<int64_t>(waiting_.size()), 1);
+    pool_.run(static_cast<int>(block_count_), [&](int b) {
+      thread_local Scratch w;
+      Block& block = blocks_[b];
+      block.budget = block.whole ? wanted : wanted * static_cast<int64_t>(block.todo.size()) / tasks;
+      for (size_t n = 0; n < block.todo.size(); ++n) {
+        if (block.whole && block.removed >= wanted) break;
+        fetch(block, n);
+        const int32_t i = block.todo[n];
+        if (collapse(i, order_[i], block, w) == Outcome::wait) block.waiting.push_back(i);
+      }
+      if (!block.whole) go_on(block, w);
+    });
+    waiting_.clear();
+    std::vector<const Notes*> notes;
+    for (size_t b = 0; b < block_count_; ++b) {
+      const Block& block = blocks_[b];
+      waiting_.insert(waiting_.end(), block.waiting.begin(), block.waiting.end());
+      wanted -= block.removed;
+      s_.triangles -= block.removed;
+      tried_ += block.done;  // links remove no triangle, and yet they are progress
+      for (size_t k = 0; k < block.refused.size(); ++k) refused_[k] += block.refused[k], tried_ += block.refused[k];
+      notes.push_back(&block.notes);
+    }
+    std::sort(waiting_.begin(), waiting_.end());
+    if (options_.record) results_.append(notes);
+  }
+
+  // Evaluates what changed in the block, while it lies in the cache, and collapses what is as cheap as what was picked.
+  void go_on(Block& block, Scratch& w) {
+    const auto rank = static_cast<int32_t>(order_.size());
+    for (size_t n = 0; n < block.changed.size() && block.removed + 2 <= block.budget; ++n) {
+      const int32_t v = block.changed[n];
+      if (s_.flags[v] & kDead || !(s_.candidates[v].todo & (kDirty | kRetry))) continue;
+      if (!evaluate(v, block.begin, block.end, w)) continue;
+      if (s_.candidates[v].cost <= limit_) collapse(rank, v, block, w);
+    }
+  }
+
+  // Asks for what the next collapses will need, in the order in which one leads to the other.
+  void fetch(const Block& block, size_t n) const {
+    const auto ends = [&](size_t ahead, const auto& body) {
+      if (n + ahead >= block.todo.size()) return;
+      const int32_t v = order_[block.todo[n + ahead]], u = s_.candidates[v].partner;
+      body(s_.vertices[v]);
+      if (block.has(u)) body(s_.vertices[u]);
+    };
+    ends(8, [](const Vertex& a) { __builtin_prefetch(&a); });
+    ends(4, [&](const Vertex& a) { __builtin_prefetch(s_.corners.begin(a)); });
+    ends(2, [&](const Vertex& a) {
+      for (const int32_t* c = s_.corners.begin(a); c != s_.corners.end(a); ++c) __builtin_prefetch(&s_.faces[face_of(*c)]);
+    });
+  }
+
+  // Makes v's collapse if all that it changes is inside the block; beside others no more than two faces may go.
+  Outcome collapse(int32_t rank, int32_t v, Block& block, Scratch& w) {
+    const Candidate& candidate = s_.candidates[v];
+    if (s_.flags[v] & kDead || candidate.todo & (kDirty | kRetry)) return Outcome::touched;
+    const int32_t owner = v;
+    int32_t u = candidate.partner;
+    if (!block.has(u)) return Outcome::wait;
+    if (candidate.todo & kVanish) return block.whole ? vanish(rank, v, w, block) : Outcome::wait;
+    Around& around = w.around;
+    around.gather(s_, v, u);
+    if (!block.whole && (around.shared > 2 || !around.inside(block.begin, block.end))) return Outcome::wait;
+    if (around.shared > 2 && around.shared > block.budget - block.removed && block.removed > 0) return Outcome::touched;
+    if (options_.keep_last && block.whole && s_.triangles - block.removed <= around.shared)
+      return refuse(v, block, Stop::last);
     Vec3 x;
     float error;
-    const Stop why = guard(&v, &u, shared, w, &x, &error);
-    if (why != Stop::triangles) return refuse(order_[i], out, why);
-    apply(i, v, u, x, error, w, out);
-    s_.stamp[v] = s_.stamp[u] = round_;
-    out.removed += shared;
-    ++out.done;
+    const Stop why = guard(&v, &u, w, &x, &error);
+    if (why != Stop::triangles) return refuse(owner, block, why);
+    const auto corners = static_cast<int32_t>(around.of_v.size() + around.of_u.size());
+    const int32_t place = s_.corners.place(s_.vertices[v], s_.vertices[u], corners, block.room);
+    if (place == kNone) {  // next time: the lists are compacted first
+      ++block.done;
+      return Outcome::touched;
+    }
+    apply(rank, v, u, x, error, place, w, block);
+    block.removed += around.shared;
+    ++block.done;
     return Outcome::done;
   }
 
-  // Gathers what lies round v and u, faces on the edge apart from those that stay; the number of the former.
-  int surround(int32_t v, int32_t u, Scratch& w) {
-    gather_ring(v, w.ring_v, w.near_v);
-    gather_ring(u, w.ring_u, w.near_u);
-    w.between.clear();
-    split(w.ring_v, u, &w.between);
-    split(w.ring_u, v, nullptr);
-    int shared = 0;
-    for (const int32_t c : w.between) shared += !s_.faces[face_of(c)].link();
-    return shared;
-  }
-
   // What forbids the collapse (Stop::triangles: nothing does), and where it leads to: v is the vertex that stays then.
-  Stop guard(int32_t* v, int32_t* u, int shared, Scratch& w, Vec3* x, float* error) const {
-    if (keep_topology_ && !link_condition(*v, *u, shared, w)) return Stop::topology;
-    if (in_.locked && strands_locked(*v, *u, w)) return Stop::locked;
+  Stop guard(int32_t* v, int32_t* u, Scratch& w, Vec3* x, float* error) const {
+    if (keep_topology_ && !w.around.link_condition(*v, *u)) return Stop::topology;
+    if (in_.locked && w.around.strands_locked(s_, *v, *u)) return Stop::locked;
     Vec3 y;
     const float cost = w.merge.place(s_, options_, *v, *u, &y);
     if (!(cost < kInfinity)) return w.merge.locked ? Stop::locked : Stop::seams;
@@ -311,311 +358,109 @@ class Decimator {
     if (*error > max_error_) return Stop::error;
     if (w.merge.kept == *u) {
       std::swap(*v, *u);
-      std::swap(w.ring_v, w.ring_u);
-      std::swap(w.near_v, w.near_u);
+      w.around.swap();
     }
     *x = s_.vertices[*v].p + y;
-    return turns(w.ring_v, *v, *x) || turns(w.ring_u, *u, *x) ? Stop::flip : Stop::triangles;
+    return w.around.turns(s_, *v, *u, *x, options_.flip_cos) ? Stop::flip : Stop::triangles;
   }
 
-  // Would a locked vertex lose its last face?
-  bool strands_locked(int32_t v, int32_t u, const Scratch& w) const {
-    const auto stays = [&](int32_t c) {
-      const Face& f = s_.faces[face_of(c)];
-      return !f.dead() && !f.link() && !(has(f, v) && has(f, u));
-    };
-    if ((s_.flags[v] | s_.flags[u]) & kLocked && std::none_of(w.ring_v.begin(), w.ring_v.end(), stays) &&
-        std::none_of(w.ring_u.begin(), w.ring_u.end(), stays))
-      return true;
-    for (const int32_t between : w.between) {
-      const Face& f = s_.faces[face_of(between)];
-      if (f.link()) continue;
-      const int32_t opposite = f.v[0] + f.v[1] + f.v[2] - u - v;
-      if (!(s_.flags[opposite] & kLocked)) continue;
-      int32_t c = s_.vertices[opposite].head;
-      while (c != kNone && !stays(c)) c = s_.faces[face_of(c)].next[slot_of(c)];
-      if (c == kNone) return true;
-    }
-    return false;
-  }
-
-  Outcome refuse(int32_t v, Block& out, Stop why) {
-    ++out.refused[static_cast<size_t>(why)];
-    ++s_.vertices[v].skip;
-    s_.flags[v] |= kRetry;
+  Outcome refuse(int32_t v, Block& block, Stop why) {
+    ++block.refused[static_cast<size_t>(why)];
+    ++s_.candidates[v].skip;
+    s_.candidates[v].todo |= kRetry | kPassedOver;
+    block.changed.push_back(v);
     return Outcome::refused;
   }
 
-  static bool has(const Face& f, int32_t v) { return f.v[0] == v || f.v[1] == v || f.v[2] == v; }
-
-  bool inside(const Buffer<Neighbour>& near, int block, int32_t width) const {
-    for (const Neighbour& n : near)
-      if (n.vertex / width != block) return false;
-    return true;
-  }
-
-  // Live corners of v, and its neighbours with the number of triangles that each shares with it.
-  void gather_ring(int32_t v, Buffer<int32_t>& ring, Buffer<Neighbour>& near) {
-    ring.clear();
-    near.clear();
-    const bool regular = !(s_.flags[v] & kIrregular);
-    each_face(s_.vertices[v], [&](int32_t c, const Face& f) {
-      ring.push_back(c);
-      if (regular) {
-        near.push_back({f.v[kNext[slot_of(c)]], 2});
-        return;
-      }
-      for (const int32_t u : f.v)
-        if (u != v && u != kNone) near.push_back({u, !f.link()});
-    });
-    if (regular && near.size() <= kSmallRing) return;
-    std::sort(near.begin(), near.end(), [](const Neighbour& a, const Neighbour& b) { return a.vertex < b.vertex; });
-    if (regular) return;
-    size_t kept = 0;
-    for (size_t i = 0; i < near.size(); ++i)
-      if (kept && near[kept - 1].vertex == near[i].vertex) near[kept - 1].faces += near[i].faces;
-      else near[kept++] = near[i];
-    near.resize(kept);
-  }
-
-  // Takes the corners of faces that have `other` out of the ring.
-  void split(Buffer<int32_t>& ring, int32_t other, Buffer<int32_t>* out) const {
-    size_t kept = 0;
-    for (const int32_t c : ring)
-      if (!has(s_.faces[face_of(c)], other)) ring[kept++] = c;
-      else if (out) out->push_back(c);
-    ring.resize(kept);
-  }
-
-  static const Neighbour* find(const Buffer<Neighbour>& near, int32_t v) {
-    if (near.size() <= kSmallRing) {
-      for (const Neighbour& n : near)
-        if (n.vertex == v) return &n;
-      return nullptr;
-    }
-    auto it = std::lower_bound(near.begin(), near.end(), v, [](const Neighbour& n, int32_t x) { return n.vertex < x; });
-    return it != near.end() && it->vertex == v ? &*it : nullptr;
-  }
-
-  // The vertices adjacent to both ends are just those opposite to the edge in its faces (Dey et al. 1999), and two
-  // boundaries are not pinched together.
-  bool link_condition(int32_t v, int32_t u, int shared, Scratch& w) const {
-    size_t common = 0;
-    for (const Neighbour& n : w.near_u) {  // along edges: links do not hold a surface together
-      const Neighbour* other = n.faces ? find(w.near_v, n.vertex) : nullptr;
-      common += other && other->faces;
-    }
-    w.before.clear();
-    for (const int32_t c : w.between) {
-      const Face& f = s_.faces[face_of(c)];
-      if (f.link()) continue;
-      const int32_t opposite = f.v[0] + f.v[1] + f.v[2] - u - v;
-      if (std::find(w.before.begin(), w.before.end(), opposite) == w.before.end()) w.before.push_back(opposite);
-    }
-    if (common != w.before.size()) return false;
-    if (shared == 1) return true;
-    const auto on_boundary = [](const Buffer<Neighbour>& near) {
-      return std::any_of(near.begin(), near.end(), [](const Neighbour& n) { return n.faces == 1; });
-    };
-    return !(on_boundary(w.near_v) && on_boundary(w.near_u));
-  }
-
-  // Would a face of `ring` turn over, or become a sliver, when its corner `moving` goes to x?
-  bool turns(const Buffer<int32_t>& ring, int32_t moving, Vec3 x) const {
-    const Vec3 p = s_.vertices[moving].p;
-    const Vec3* q[4];
-    const Vec3* r[4];
-    int count = 0;
-    for (size_t i = 0; i < ring.size(); ++i) {
-      const Face& f = s_.faces[face_of(ring[i])];
-      if (!f.link()) {
-        const int k = kNext[slot_of(ring[i])];
-        q[count] = &s_.vertices[f.v[k]].p, r[count] = &s_.vertices[f.v[kNext[k]]].p;
-        ++count;
-      }
-      if (count == 4 || (i + 1 == ring.size() && count)) {
-        for (int k = count; k < 4; ++k) q[k] = q[0], r[k] = r[0];
-        if (four_turn(p, x, q, r)) return true;
-        count = 0;
-      }
-    }
-    return false;
-  }
-
-  // The same for the triangles (p → x, q, r) in the lanes of a vector.
-  bool four_turn(Vec3 p, Vec3 x, const Vec3* const* q, const Vec3* const* r) const {
-    const Lanes qx{q[0]->x, q[1]->x, q[2]->x, q[3]->x}, qy{q[0]->y, q[1]->y, q[2]->y, q[3]->y},
-        qz{q[0]->z, q[1]->z, q[2]->z, q[3]->z};
-    const Lanes rx{r[0]->x, r[1]->x, r[2]->x, r[3]->x}, ry{r[0]->y, r[1]->y, r[2]->y, r[3]->y},
-        rz{r[0]->z, r[1]->z, r[2]->z, r[3]->z};
-    const Lanes ex = rx - qx, ey = ry - qy, ez = rz - qz;
-    const Lanes ox = p.x - qx, oy = p.y - qy, oz = p.z - qz, nx = x.x - qx, ny = x.y - qy, nz = x.z - qz;
-    const Lanes ax = ey * oz - ez * oy, ay = ez * ox - ex * oz, az = ex * oy - ey * ox;
-    const Lanes bx = ey * nz - ez * ny, by = ez * nx - ex * nz, bz = ex * ny - ey * nx;
-    const Lanes before = ax * ax + ay * ay + az * az, after = bx * bx + by * by + bz * bz;
-    const Lanes cosine = ax * bx + ay * by + az * bz;
-    const Lanes tx = x.x - rx, ty = x.y - ry, tz = x.z - rz, sx = p.x - rx, sy = p.y - ry, sz = p.z - rz;
-    const auto most = [](Lanes a, Lanes b) { return a > b ? a : b; };
-    const Lanes base = ex * ex + ey * ey + ez * ez;
-    const Lanes longest = most(most(base, nx * nx + ny * ny + nz * nz), tx * tx + ty * ty + tz * tz);
-    const Lanes longest_before = most(most(base, ox * ox + oy * oy + oz * oz), sx * sx + sy * sy + sz * sz);
-    const Lanes size = longest * longest, size_before = longest_before * longest_before;
-    // a sliver, and it was none before; or over the limit of the turn
-    const auto sliver = (after < kLeastQuality * kLeastQuality * size) & (after * size_before < 0.25f * before * size);
-    const auto turned = (before > 1e-12f * size) &
-                        ((cosine <= 0) | (cosine * cosine < options_.flip_cos * options_.flip_cos * before * after));
-    const auto bad = sliver | turned;
-    return bad[0] | bad[1] | bad[2] | bad[3];
-  }
-
-  void apply(int32_t rank, int32_t v, int32_t u, Vec3 x, float error, Scratch& w, Block& out) {
+  void apply(int32_t rank, int32_t v, int32_t u, Vec3 x, float error, int32_t place, Scratch& w, Block& block) {
     Vertex &a = s_.vertices[v], &b = s_.vertices[u];
-    w.merge.commit(s_, v, u, x - a.p);
-    const Merge& m = w.merge;
-    int removed = 0;
-    for (const int32_t c : w.between) {
-      Face& f = s_.faces[face_of(c)];
-      removed += !f.link();
-      f.v[0] = kNone;
-    }
-    int32_t* link = &a.head;
-    const auto keep = [&](int32_t c) {
-      Face& f = s_.faces[face_of(c)];
-      f.v[slot_of(c)] = v;
-      *link = c;
-      link = &f.next[slot_of(c)];
-    };
-    for (const int32_t c : w.ring_v) keep(c);
-    for (const int32_t c : w.ring_u) keep(c);
-    *link = kNone;
+    const Around& around = w.around;
+    Merge& m = w.merge;
+    m.commit(s_, v, u, x - a.p, around);
+    for (const Spoke& spoke : around.between) s_.faces[face_of(spoke.corner)].v[0] = kNone;
+    a.first = place, a.count = static_cast<int32_t>(around.of_v.size() + around.of_u.size());
+    int32_t* to = s_.corners.at(a);
+    for (const Buffer<Spoke>* ring : {&around.of_v, &around.of_u})
+      for (const Spoke& spoke : *ring) {
+        s_.faces[face_of(spoke.corner)].v[slot_of(spoke.corner)] = v;
+        *to++ = spoke.corner;
+      }
     if (s_.columns) {
-      rename_wedges(w.ring_u, m);
-      if (m.groups() > 1 || (s_.flags[v] & kSeveralWedges)) rename_wedges(w.ring_v, m);
+      rename_wedges(around.of_u, m.groups());
+      if (m.groups().size() > 1 || (s_.flags[v] & kSeveralWedges)) rename_wedges(around.of_v, m.groups());
     }
-    // an edge belongs to its lower end: above v nothing changed but for those whose partner is gone
-    for (const auto* near : {&w.near_v, &w.near_u})
-      for (const Neighbour& n : *near) {
-        if (n.vertex < v || s_.partner[n.vertex] == u || s_.vertices[n.vertex].skip) s_.flags[n.vertex] |= kDirty;
+    const bool irregular = (s_.flags[v] | s_.flags[u]) & kIrregular;  // else each neighbour comes next just once
+    for (const Buffer<Spoke>* ring : {&around.of_v, &around.of_u, &around.between})
+      for (const Spoke& spoke : *ring) {
+        look_again(spoke.next, v, u, block);
+        if (irregular || ring == &around.between) look_again(spoke.previous, v, u, block);
       }
     a.q = m.quadric;
     a.p = x;
     a.error = error;
     uint8_t& flags = s_.flags[v];
     flags &= static_cast<uint8_t>(~kSeveralWedges);
-    flags |= kDirty | (m.moved ? kMoved : 0) | (m.groups() > 1 ? kSeveralWedges : 0) | (s_.flags[u] & (kIrregular | kLocked));
+    flags |= (m.moved ? kMoved : 0) | (m.groups().size() > 1 ? kSeveralWedges : 0) | (s_.flags[u] & (kIrregular | kLocked));
     if (options_.follow) {
       s_.vertex_into[u] = v;
-      for (const auto& [from, to] : m.links()) s_.wedge_into[from] = to;
+      for (const auto& [from, to] : m.groups().links()) s_.wedge_into[from] = to;
     }
+    s_.candidates[v].todo |= kDirty;
+    block.changed.push_back(v);
     s_.flags[u] = kDead;
-    b.head = kNone;
-    s_.cost[u] = kInfinity;
-    if (a.head == kNone) flags |= kDead, s_.cost[v] = kInfinity;
-    if (options_.record) note(rank, v, u, removed, m, out);
+    b.count = 0;
+    s_.candidates[u].cost = kInfinity;
+    if (!a.count) flags |= kDead, s_.candidates[v].cost = kInfinity;
+    if (options_.record) results_.note(rank, v, u, around.shared, m.groups().links(), block.notes);
   }
 
-  void rename_wedges(const Buffer<int32_t>& ring, const Merge& m) {
-    for (const int32_t c : ring) {
-      if (s_.faces[face_of(c)].link()) continue;
-      int32_t& w = s_.wedges[face_of(c)].w[slot_of(c)];
-      w = m.target(w);
+  // Merging only makes edges dearer: what a neighbour has found stays its best unless it led here.
+  void look_again(int32_t neighbour, int32_t v, int32_t u, Block& block) {
+    if (neighbour == kNone) return;
+    Candidate& c = s_.candidates[neighbour];
+    if (c.todo & kDirty || !(c.partner == u || c.partner == v || (c.todo & kPassedOver))) return;
+    c.todo |= kDirty;
+    block.changed.push_back(neighbour);
+  }
+
+  void rename_wedges(const Buffer<Spoke>& ring, const WedgeGroups& groups) {
+    for (const Spoke& spoke : ring) {
+      if (spoke.link()) continue;
+      int32_t& w = s_.wedges[face_of(spoke.corner)].w[slot_of(spoke.corner)];
+      w = groups.size() == 1 ? groups[0].wedge : groups.target(w);
     }
   }
 
-  Outcome vanish(int32_t rank, int32_t v, Scratch& w, Block& out) {
-    if (!gather_component(v, w.before)) {
-      s_.flags[v] |= kDirty;
-      ++out.done;
+  Outcome vanish(int32_t rank, int32_t v, Scratch& w, Block& block) {
+    if (!gather_component(v, w.component)) {
+      s_.candidates[v].todo |= kDirty;
+      ++block.done;
       return Outcome::touched;
     }
-    Vertex& a = s_.vertices[v];
-    const float trace = a.q.trace();
-    const float error = trace > 0 ? std::sqrt(s_.cost[v] / trace) : 0;
-    if (error > max_error_) return refuse(v, out, Stop::error);
+    const float trace = s_.vertices[v].q.trace();
+    const float error = trace > 0 ? std::sqrt(s_.candidates[v].cost / trace) : 0;
+    if (error > max_error_) return refuse(v, block, Stop::error);
     int removed = 0;
     const auto each = [&](const auto& body) {
-      for (const int32_t m : w.before)
-        for (int32_t c = s_.vertices[m].head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)])
-          if (Face& f = s_.faces[face_of(c)]; !f.dead()) body(f, slot_of(c));
+      for (const int32_t m : w.component) Around::each(s_, m, [&](const Spoke& spoke) { body(spoke.corner); });
     };
-    each([&](const Face&, int slot) { removed += slot == 0; });
-    if (options_.keep_last && s_.triangles - out.removed <= removed) return refuse(v, out, Stop::last);
-    each([](Face& f, int) { f.v[0] = kNone; });
-    const int32_t last = w.before[w.before.size() - 1];
-    for (const int32_t m : w.before) {
+    each([&](int32_t corner) { removed += slot_of(corner) == 0; });
+    if (options_.keep_last && s_.triangles - block.removed <= removed) return refuse(v, block, Stop::last);
+    each([&](int32_t corner) { s_.faces[face_of(corner)].v[0] = kNone; });
+    const int32_t last = w.component[w.component.size() - 1];
+    for (const int32_t m : w.component) {
       s_.flags[m] = kDead;
-      s_.cost[m] = kInfinity;
-      s_.stamp[m] = round_;
-      if (options_.record && m != v) {
-        Merge none;
-        none.reset();
-        note(rank, v, m, m == last ? removed : 0, none, out);  // no prefix may count them and keep some
-      }
+      s_.candidates[m].cost = kInfinity;
+      if (options_.record && m != v)  // no prefix may count the faces and keep some
+        results_.note(rank, v, m, m == last ? removed : 0, {}, block.notes);
     }
-    s_.vertices[v].head = kNone;
-    out.removed += removed;
-    ++out.done;
+    for (const int32_t m : w.component) s_.vertices[m].count = 0;
+    block.removed += removed;
+    ++block.done;
     return Outcome::done;
   }
 
-  // ---------------------------------------------------------------- results
-
-  void note(int32_t rank, int32_t v, int32_t u, int removed, const Merge& m, Block& out) {
-    Record& r = out.record;
-    const auto row = static_cast<int32_t>(r.removed.size());
-    out.ranks.push_back(rank);
-    r.removed.push_back(u);
-    r.kept.push_back(v);
-    r.triangles.push_back(removed);
-    r.error.push_back(s_.vertices[v].error);
-    for (const double c : world(v)) r.positions.push_back(c);
-    for (const auto& [from, to] : m.links()) {
-      r.wedge_event.push_back(row);
-      r.wedge_from.push_back(from);
-      r.wedge_to.push_back(to);
-      const size_t at = r.wedge_values.size();
-      r.wedge_values.resize(at + s_.columns);
-      values_of(to, r.wedge_values.data() + at);
-    }
-  }
-
-  // Rows of all blocks in the order in which one thread would have picked them; within a round they do not overlap.
-  void merge_records() {
-    if (!options_.record) return;
-    struct Row {
-      int32_t rank, block, row;
-    };
-    std::vector<Row> rows;
-    std::vector<std::vector<int32_t>> first(blocks_.size());
-    for (size_t b = 0; b + 1 < blocks_.size(); ++b)
-      for (size_t i = 0; i < blocks_[b].ranks.size(); ++i)
-        rows.push_back({blocks_[b].ranks[i], static_cast<int32_t>(b), static_cast<int32_t>(i)});
-    std::sort(rows.begin(), rows.end(), [](const Row& a, const Row& b) { return a.rank != b.rank ? a.rank < b.rank : a.row < b.row; });
-    for (size_t i = 0; i < blocks_.back().ranks.size(); ++i)
-      rows.push_back({0, static_cast<int32_t>(blocks_.size()) - 1, static_cast<int32_t>(i)});
-    for (size_t b = 0; b < blocks_.size(); ++b) {
-      first[b].assign(blocks_[b].ranks.size() + 1, 0);
-      for (const int32_t e : blocks_[b].record.wedge_event) ++first[b][static_cast<size_t>(e) + 1];
-      for (size_t i = 0; i + 1 < first[b].size(); ++i) first[b][i + 1] += first[b][i];
-    }
-    Record& out = result_.record;
-    for (const Row& at : rows) {
-      const Record& r = blocks_[at.block].record;
-      const auto event = static_cast<int32_t>(out.removed.size());
-      out.removed.push_back(s_.vertex_source[r.removed[at.row]]);
-      out.kept.push_back(s_.vertex_source[r.kept[at.row]]);
-      out.triangles.push_back(r.triangles[at.row]);
-      out.error.push_back(static_cast<float>(r.error[at.row] / s_.scale));
-      for (int k = 0; k < 3; ++k) out.positions.push_back(r.positions[3 * static_cast<size_t>(at.row) + k]);
-      for (int32_t e = first[at.block][at.row]; e < first[at.block][at.row + 1]; ++e) {
-        out.wedge_event.push_back(event);
-        out.wedge_from.push_back(s_.wedge_source[r.wedge_from[e]]);
-        out.wedge_to.push_back(s_.wedge_source[r.wedge_to[e]]);
-        const auto values = r.wedge_values.begin() + static_cast<int64_t>(e) * s_.columns;
-        out.wedge_values.insert(out.wedge_values.end(), values, values + s_.columns);
-      }
-    }
-  }
+  // ---------------------------------------------------------------- the end
 
   // Nothing can be collapsed under the guards: give up the link condition if that is allowed, else say what held.
   Stop stuck() {
@@ -623,7 +468,7 @@ class Decimator {
       keep_topology_ = false;
       relaxed_ = true;
       refused_ = {};
-      for (const int32_t v : s_.live) s_.flags[v] |= kDirty | kIrregular;
+      for (const int32_t v : s_.live) s_.flags[v] |= kIrregular, s_.candidates[v].todo |= kDirty;
       return Stop::triangles;
     }
     if (max_error_ < kInfinity && refused_[static_cast<size_t>(Stop::error)]) return Stop::error;
@@ -637,16 +482,17 @@ class Decimator {
     Scratch w;
     std::vector<int32_t> others;
     for (const int32_t lower : s_.live) {
-      gather_ring(lower, w.ring_v, w.near_v);
       others.clear();
-      for (const Neighbour& n : w.near_v)
-        if (n.vertex > lower) others.push_back(n.vertex);
+      Around::each(s_, lower, [&](const Spoke& spoke) {
+        for (const int32_t n : {spoke.next, spoke.previous})
+          if (n > lower && std::find(others.begin(), others.end(), n) == others.end()) others.push_back(n);
+      });
       for (const int32_t other : others) {
         int32_t v = lower, u = other;
         Vec3 x;
         float error;
-        const int shared = surround(v, u, w);
-        ++count[static_cast<size_t>(guard(&v, &u, shared, w, &x, &error))];
+        w.around.gather(s_, v, u);
+        ++count[static_cast<size_t>(guard(&v, &u, w, &x, &error))];
       }
     }
     Stop worst = Stop::topology;
@@ -655,95 +501,20 @@ class Decimator {
     return worst;
   }
 
-  std::array<double, 3> world(int32_t v) const {
-    const Vertex& a = s_.vertices[v];
-    if (!(s_.flags[v] & kMoved)) {
-      const double* p = in_.positions + 3 * static_cast<int64_t>(s_.vertex_source[v]);
-      return {p[0], p[1], p[2]};
-    }
-    return {s_.center[0] + a.p.x / s_.scale, s_.center[1] + a.p.y / s_.scale, s_.center[2] + a.p.z / s_.scale};
-  }
-
-  void emit(int64_t target, Stop stop) {
-    Level level;
-    level.target = target;
-    level.stop = stop;
-    level.relaxed = relaxed_;
-    std::vector<int32_t> number(s_.vertices.size(), kNone), wedge_number(s_.wedge_source.size(), kNone);
-    float error = 0;
-    const size_t count = static_cast<size_t>(s_.triangles);
-    level.faces.reserve(3 * count), level.wedges.reserve(3 * count), level.face_source.reserve(count);
-    for (size_t i = 0; i < s_.wedges.size(); ++i) {
-      const Face& f = s_.faces[i];
-      const Wedges& wedges = s_.wedges[i];
-      if (f.dead()) continue;
-      level.face_source.push_back(f.source);
-      for (int k = 0; k < 3; ++k) {
-        int32_t& n = number[f.v[k]];
-        if (n == kNone) {
-          n = static_cast<int32_t>(level.vertex_source.size());
-          const Vertex& a = s_.vertices[f.v[k]];
-          error = std::max(error, a.error);
-          level.vertex_source.push_back(s_.flags[f.v[k]] & kMoved ? kNone : s_.vertex_source[f.v[k]]);
-          for (const double c : world(f.v[k])) level.positions.push_back(c);
-        }
-        level.faces.push_back(n);
-        int32_t& w = wedge_number[wedges.w[k]];
-        if (w == kNone) {
-          w = static_cast<int32_t>(level.wedge_source.size());
-          emit_wedge(wedges.w[k], level);
-        }
-        level.wedges.push_back(w);
-      }
-    }
-    level.error = error / s_.scale;
-    if (options_.follow) {
-      level.vertex_to = followed(s_.vertex_into, s_.vertex_source, number, in_.vertex_count);
-      level.wedge_to = followed(s_.wedge_into, s_.wedge_source, wedge_number, in_.wedge_count);
-    }
-    result_.levels.push_back(std::move(level));
-  }
-
-  // For each row of the input, the level's number of what it was merged into.
-  static std::vector<int32_t> followed(std::vector<int32_t>& into, const std::vector<int32_t>& source,
-                                       const std::vector<int32_t>& number, int rows) {
-    std::vector<int32_t> out(rows, kNone);
-    for (size_t i = 0; i < into.size(); ++i) {
-      auto last = static_cast<int32_t>(i);
-      while (into[last] != last) last = into[last] = into[into[last]];  // the path gets half as long
-      out[source[i]] = number[last];
-    }
-    return out;
-  }
-
-  void emit_wedge(int32_t w, Level& level) const {
-    const bool moved = s_.columns && s_.wedge_moved[w];
-    level.wedge_source.push_back(moved ? kNone : s_.wedge_source[w]);
-    const size_t row = level.values.size();
-    level.values.resize(row + s_.columns);
-    values_of(w, level.values.data() + row);
-  }
-
-  // A wedge's values in the input's order and scale; to the last bit the input's while it was not moved.
-  void values_of(int32_t w, float* out) const {
-    const bool moved = s_.columns && s_.wedge_moved[w];
-    for (int k = 0; k < s_.columns; ++k)
-      out[s_.column_source[k]] =
-          moved ? s_.value[static_cast<size_t>(w) * s_.columns + k] / s_.column_scale[k]
-                : in_.values[static_cast<size_t>(s_.wedge_source[w]) * s_.columns + s_.column_source[k]];
-  }
-
   const Input& in_;
   const Options& options_;
   const std::function<bool(int64_t, int64_t)>& progress_;
   Pool pool_;
   State s_;
-  Result result_;
+  Results results_;
   std::vector<float> sample_;
-  std::vector<int32_t> order_;
+  std::vector<int32_t> order_;    // vertices whose candidates the round tries
+  std::vector<int32_t> waiting_;  // rows of it
   std::vector<Block> blocks_;
+  size_t block_count_ = 0;
   std::array<int64_t, kStops> refused_{};
-  int32_t round_ = 0;
+  int64_t tried_ = 0;
+  float limit_ = 0;  // cost of the dearest candidate that the round tries
   float max_error_ = kInfinity;
   bool keep_topology_ = true, relaxed_ = false;
 };
@@ -759,9 +530,10 @@ EdgeCosts edge_costs(const Input& input, const Options& options) {
   std::vector<int32_t> others;
   for (int32_t v = 0; v < static_cast<int32_t>(s.vertices.size()); ++v) {
     others.clear();
-    for (int32_t c = s.vertices[v].head; c != kNone; c = s.faces[face_of(c)].next[slot_of(c)])
-      for (const int32_t u : s.faces[face_of(c)].v)
+    Around::each(s, v, [&](const Spoke& spoke) {
+      for (const int32_t u : {spoke.next, spoke.previous})
         if (u > v) others.push_back(u);
+    });
     std::sort(others.begin(), others.end());
     others.erase(std::unique(others.begin(), others.end()), others.end());
     for (const int32_t u : others) {

@@ -1,7 +1,8 @@
-// Vectors for the large arrays: on huge pages where the system has them, because collapses jump about in them.
+// Vectors and plain memory for the large arrays: on huge pages where the system has them, because collapses jump about in them.
 #pragma once
 #include <cstdlib>
 #include <new>
+#include <utility>
 #include <vector>
 #ifdef __linux__
 #include <sys/mman.h>
@@ -29,6 +30,14 @@ struct LargeAllocator {
     return static_cast<T*>(p);
   }
   void deallocate(T* p, size_t) { std::free(p); }
+  template <class U>
+  void construct(U* p) {  // plain numbers are not set to 0 before they are set: resize() leaves them as they are
+    ::new (static_cast<void*>(p)) U;
+  }
+  template <class U, class... Args>
+  void construct(U* p, Args&&... args) {
+    ::new (static_cast<void*>(p)) U(std::forward<Args>(args)...);
+  }
   bool operator==(const LargeAllocator&) const { return true; }
 };
 

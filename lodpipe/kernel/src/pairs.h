@@ -48,7 +48,7 @@ inline void add_links(float distance, State& s) {
             const Vec3 d = s.vertices[u].p - p;
             if (u <= v || !used[u] || dot(d, d) >= distance * distance) continue;
             if (std::binary_search(edges.begin(), edges.end(), edge(v, u))) continue;
-            s.faces.push_back({{v, u, kNone}, {kNone, kNone, kNone}, kNone, 0});
+            s.faces.push_back({{v, u, kNone}, kNone});
           }
         }
   }

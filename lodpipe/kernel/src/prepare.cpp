@@ -44,12 +44,12 @@ std::vector<int32_t> order_all(const Input& in, State& s) {
   radix_sort(keys, scratch);
   std::vector<int32_t> rank(count);
   s.vertices.resize(count);
-  s.flags.assign(count, kDirty);
+  s.flags.assign(count, 0);
   s.vertex_source.resize(count);
   for (int i = 0; i < count; ++i) {
     rank[keys[i].id] = i;
     s.vertex_source[i] = keys[i].id;
-    s.vertices[i] = Vertex{at[keys[i].id], {}, kNone, 0, 0};
+    s.vertices[i] = Vertex{at[keys[i].id], {}, 0, 0, 0};
   }
   return rank;
 }
@@ -75,7 +75,7 @@ void place_faces(const Input& in, const std::vector<int32_t>& rank, State& s) {
     const int32_t* v = in.faces + 3 * f;
     const int32_t* w = in.wedges + 3 * f;
     const int32_t to = start[first(f)]++;
-    s.faces[to] = {{rank[v[0]], rank[v[1]], rank[v[2]]}, {}, static_cast<int32_t>(f), 0};
+    s.faces[to] = {{rank[v[0]], rank[v[1]], rank[v[2]]}, static_cast<int32_t>(f)};
     s.wedges[to] = {{w[0], w[1], w[2]}};
   }
 }
@@ -108,23 +108,31 @@ void place_wedges(const Input& in, const Options& options, State& s) {
     s.chart_column = -1;
   const size_t count = s.wedge_source.size();
   if (!s.columns) return;
-  s.value.resize(count * s.columns);
-  s.slope.resize(count * s.columns);
-  s.weight.resize(count);
+  s.fitted = s.steering || options.placement != Placement::endpoint;
+  s.row = s.fitted ? (static_cast<size_t>(s.columns) * 5 + 1 + 3) / 4 * 4 : s.columns;
+  s.rows.assign(count * s.row, 0.0f);
   s.wedge_moved.resize(count);
   for (size_t i = 0; i < count; ++i)
     for (int k = 0; k < s.columns; ++k)
-      s.value[i * s.columns + k] =
+      s.values(static_cast<int32_t>(i))[k] =
           in.values[static_cast<size_t>(s.wedge_source[i]) * s.columns + s.column_source[k]] * s.column_scale[k];
 }
 
-void link_corners(State& s) {
-  // from behind, so that each list starts with its vertex's first face
-  for (int64_t f = static_cast<int64_t>(s.faces.size()) - 1; f >= 0; --f)
-    for (int k = s.faces[f].link() ? 1 : 2; k >= 0; --k) {
-      Vertex& v = s.vertices[s.faces[f].v[k]];
-      s.faces[f].next[k] = v.head;
-      v.head = corner(static_cast<int32_t>(f), k);
+void list_corners(State& s) {
+  const auto corners = [](const Face& f) { return f.link() ? 2 : 3; };
+  for (const Face& f : s.faces)
+    for (int k = 0; k < corners(f); ++k) ++s.vertices[f.v[k]].count;
+  int64_t filled = 0;
+  for (Vertex& v : s.vertices) {
+    v.first = static_cast<int32_t>(filled);
+    filled += v.count;
+    v.count = 0;
+  }
+  s.corners.start(filled);
+  for (int32_t i = 0; i < static_cast<int32_t>(s.faces.size()); ++i)
+    for (int k = 0; k < corners(s.faces[i]); ++k) {
+      Vertex& v = s.vertices[s.faces[i].v[k]];
+      s.corners.at(v)[v.count++] = corner(i, k);
     }
 }
 
@@ -151,7 +159,7 @@ class FaceQuadrics {
     } else {
       for (int k = 0; k < 3; ++k) s_.vertices[f.v[k]].q.add_plane(n, plane_weight(p, k, twice / 2));
     }
-    if (s_.columns) add_slopes(f, s_.wedges[face], cross(e2, n), cross(n, e1), twice);
+    if (s_.fitted) add_slopes(f, s_.wedges[face], cross(e2, n), cross(n, e1), twice);
   }
 
  private:
@@ -166,13 +174,11 @@ class FaceQuadrics {
   // A third of the face's area goes to each corner; there the function equals the wedge's value, so its offset is 0.
   void add_slopes(const Face& f, const Wedges& wedges, Vec3 dual1, Vec3 dual2, float twice) {
     const float weight = twice / 6;
-    const float *v0 = &s_.value[static_cast<size_t>(wedges.w[0]) * s_.columns],
-                *v1 = &s_.value[static_cast<size_t>(wedges.w[1]) * s_.columns],
-                *v2 = &s_.value[static_cast<size_t>(wedges.w[2]) * s_.columns];
+    const float *v0 = s_.values(wedges.w[0]), *v1 = s_.values(wedges.w[1]), *v2 = s_.values(wedges.w[2]);
     Slope* slope[3];
     for (int i = 0; i < 3; ++i) {
-      slope[i] = &s_.slope[static_cast<size_t>(wedges.w[i]) * s_.columns];
-      s_.weight[wedges.w[i]] += weight;
+      slope[i] = s_.slopes(wedges.w[i]);
+      s_.weight(wedges.w[i]) += weight;
     }
     const Vec3 half1 = dual1 * (1.0f / 6), half2 = dual2 * (1.0f / 6);
     for (int k = 0; k < s_.columns; ++k) {
@@ -226,7 +232,8 @@ class Surroundings {
     uint8_t& flags = s_.flags[v];
     ring_.clear();
     uint64_t entering = 0, leaving = 0;  // sums of hashes: equal if the same edges enter and leave, with the same wedges
-    for (int32_t c = a.head; c != kNone; c = s_.faces[face_of(c)].next[slot_of(c)]) {
+    for (const int32_t* at = s_.corners.begin(a); at != s_.corners.end(a); ++at) {
+      const int32_t c = *at;
       const Face& f = s_.faces[face_of(c)];
       if (f.link()) {
         flags |= kIrregular;
@@ -307,14 +314,14 @@ class Surroundings {
 
   void weigh(Vertex& a, float importance) {
     a.q *= importance;
-    if (!s_.columns) return;
+    if (!s_.fitted) return;
     for (size_t i = 0; i < ring_.size(); ++i) {
       const int32_t wedge = ring_[i].wedge;
       const auto same = [wedge](const Spoke& q) { return q.wedge == wedge; };
       if (std::any_of(ring_.begin(), ring_.begin() + i, same)) continue;
-      s_.weight[wedge] *= importance;
+      s_.weight(wedge) *= importance;
       for (int k = 0; k < s_.columns; ++k) {
-        Slope& t = s_.slope[static_cast<size_t>(wedge) * s_.columns + k];
+        Slope& t = s_.slopes(wedge)[k];
         t.x *= importance, t.y *= importance, t.z *= importance;
       }
     }
@@ -335,18 +342,16 @@ void prepare(const Input& in, const Options& options, Pool& pool, State& s) {
   place_wedges(in, options, s);
   if (options.pair_distance > 0) add_links(static_cast<float>(options.pair_distance * s.scale), s);
   s.has_links = static_cast<int64_t>(s.faces.size()) > s.triangles;
-  link_corners(s);
+  list_corners(s);
   add_faces(options, pool, s);
   pool.range(in.vertex_count, kGrain, [&](int begin, int end) {
     Surroundings look(in, options, s);
     for (int v = begin; v < end; ++v) look(v);
   });
-  s.cost.assign(in.vertex_count, kInfinity);
-  s.partner.assign(in.vertex_count, kNone);
-  s.stamp.assign(in.vertex_count, 0);
+  s.candidates.assign(in.vertex_count, {kInfinity, kNone, 0, kDirty});
   s.live.reserve(in.vertex_count);
   for (int v = 0; v < in.vertex_count; ++v)
-    if (s.vertices[v].head != kNone) s.live.push_back(v);
+    if (s.vertices[v].count) s.live.push_back(v);
 }
 
 }  // namespace lodpipe
