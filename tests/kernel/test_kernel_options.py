@@ -326,7 +326,7 @@ def test_carried_attributes_follow_the_surface():
 
 
 def test_every_option_does_something():
-    """Each field changes the result of this mesh; `record` and `pair_distance` have tests of their own."""
+    """Each field changes the result of this mesh; `record`, `follow` and `pair_distance` have tests of their own."""
     ball = uv_sphere(12, 16)
     positions = ball.positions * (1 + 0.1 * np.random.default_rng(0).random((len(ball.positions), 1)))
     faces, wedges = ball.faces[20:], ball.wedges[20:]
@@ -348,7 +348,7 @@ def test_every_option_does_something():
         "chart_column": 0,
     }
     fields = {field.name for field in dataclasses.fields(SET)}
-    assert fields == {*other, "record", "pair_distance"}
+    assert fields == {*other, "record", "follow", "pair_distance"}
 
     def run(setting):
         level = decimate(
