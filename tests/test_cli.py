@@ -291,3 +291,19 @@ def test_a_reader_that_stops_reading_is_no_error(tmp_path):
     command = f"{sys.executable} -m lodpipe schema | head -c 1"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_skeleton_as_text_as_json_and_as_a_model(main):
+    code, out, err = main("skeleton", "a.obj", "-o", "skeleton.glb")
+    assert (code, err) == (0, "")
+    assert out.startswith("component 1: ")
+    assert [mesh.name for mesh in lodpipe.load("skeleton.glb").meshes][-1] == "segments"
+    code, out, _ = main("skeleton", "a.obj", "--method", "dcg", "--json")
+    data = json.loads(out)
+    assert code == 0
+    assert set(data) == {"method", "components", "seconds"}
+    part = data["components"][0]
+    assert {"nodes", "edges", "ends", "joints", "cycle_rank", "genus", "inside_share"} <= set(part)
+    assert set(part["nodes"][0]) >= {"position", "radius", "type"}
+    assert main("skeleton", "none.obj")[0] == 1
+    assert main("skeleton", "a.obj", "--method", "x")[0] == 2

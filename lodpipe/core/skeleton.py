@@ -85,7 +85,8 @@ class Segments:
     component       (S,) int32, rows of the skeleton's components
     node_segment    (N,) int32: the segment of each node of the skeleton
     vertex_segment  for each mesh (V,) int32, −1 where there is none
-    vertex_part     for each mesh (V,) int8: the type of the vertex's node, rows of NODE_TYPES, −1 where there is none
+    vertex_part     for each mesh (V,) int8, rows of NODE_TYPES, −1 where there is none: joint parts are the main bodies
+                    and joints, end parts the outer third of branches that end, connection parts the rest
     border          for each mesh (V,) bool: whether an edge leads to a vertex of another segment
     """
 
@@ -103,6 +104,15 @@ class Segments:
 
 
 @dataclass(frozen=True, eq=False)
+class PartShare:
+    """A part of the asset that keeps a share of its triangles: `faces` for each mesh (F,) bool, 0 < `keep` < 1."""
+
+    name: str
+    keep: float
+    faces: tuple[NDArray[np.bool_], ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Importance:
     """How much each vertex matters to the decimator.
 
@@ -110,6 +120,8 @@ class Importance:
     extreme   for each mesh (V,) float32 ≥ 1: what multiplies it too where few triangles are left for each branch
     reserved  (R, 3) int32 rows of `reserved_mesh`'s positions: a triangle for each branch, terminal vertex first, that
               is kept as long as the budget allows; longest branch first. `reserved_mesh` (R,) int32
+    pinned    for each mesh (V,) bool: vertices that are neither moved nor removed; empty: none are
+    shares    parts that keep a share of their triangles at every level that has room for them
     strength  0: `extreme` and `reserved` have no effect; 1: all; None: they fade in as the budget falls
     """
 
@@ -118,6 +130,8 @@ class Importance:
     reserved: I32
     reserved_mesh: I32
     strength: float | None = None
+    pinned: tuple[NDArray[np.bool_], ...] = ()
+    shares: tuple[PartShare, ...] = ()
 
     def fingerprint(self) -> str:
         """Hex digest of everything in it."""
@@ -130,7 +144,9 @@ def _digest(data: Any) -> str:
         value = getattr(data, field.name)
         digest.update(field.name.encode())
         for item in value if isinstance(value, tuple) else (value,):
-            if isinstance(item, np.ndarray):
+            if isinstance(item, PartShare):
+                digest.update(_digest(item).encode())
+            elif isinstance(item, np.ndarray):
                 digest.update(f"{item.dtype}{item.shape}".encode() + np.ascontiguousarray(item).tobytes())
             else:
                 digest.update(repr(item).encode())

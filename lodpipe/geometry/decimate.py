@@ -17,10 +17,11 @@ from lodpipe import kernel
 from lodpipe.core.asset import Asset, Lod, Target
 from lodpipe.core.errors import Cancelled, InvalidMesh
 from lodpipe.core.mesh import F32, F64, I32, Mesh
-from lodpipe.core.skeleton import Importance
+from lodpipe.core.skeleton import Importance, PartShare
 from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.extreme import Guide, extreme_levels
-from lodpipe.geometry.flatten import flatten, largest_placement
+from lodpipe.geometry.flatten import Bool, flatten, largest_placement
+from lodpipe.geometry.parts import hold_shares
 from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.progressive import rebuild
 from lodpipe.geometry.shading import with_normals
@@ -137,24 +138,32 @@ def decimate_asset(
         result = decimate_joined(asset, joined, goals, options, pixels or {}, threads, step)
     else:
         values, column_weights = joined.columns(options, weights or AttributeWeights(), min(finest, default=1))
-        result = kernel.decimate(
-            joined.positions,
-            joined.faces,
-            goals,
-            replace(
-                options,
-                record=options.record or by_error,
-                keep_last=fixed == 0,
-                chart_column=joined.chart_column,
-                follow=fits,
-            ),
-            wedges=joined.wedges,
-            values=values,
-            column_weights=column_weights,
-            importance=joined.importance,
-            threads=threads,
-            progress=step,
+        own = replace(
+            options,
+            record=options.record or by_error,
+            keep_last=fixed == 0,
+            chart_column=joined.chart_column,
+            follow=fits,
         )
+
+        def run(factors: F32 | None, wanted: list[int]) -> kernel.Decimation:
+            return kernel.decimate(
+                joined.positions,
+                joined.faces,
+                wanted,
+                own,
+                wedges=joined.wedges,
+                values=values,
+                column_weights=column_weights,
+                importance=factors,
+                locked=joined.pinned,
+                threads=threads,
+                progress=step,
+            )
+
+        result = run(joined.importance, goals)
+        if asset.importance is not None and asset.importance.shares:
+            result = replace(result, levels=joined.with_shares(asset.importance.shares, result.levels, run))
     if any(level.stop == "cancelled" for level in result.levels) or cancelled():
         raise Cancelled("cancelled")
     made = {level.target: level for level in result.levels}
@@ -240,6 +249,7 @@ class _Joined:
     values: F32  # (W, K), unscaled
     vertex_start: list[int]
     face_start: list[int]
+    pinned: Bool | None = None  # (V,) vertices that stay
 
     @staticmethod
     def of(asset: Asset) -> _Joined:
@@ -280,6 +290,7 @@ class _Joined:
             _join(values, sum(widths), np.float32),
             vertex_start,
             face_start,
+            _pinned(asset, used),
         )
 
     @property
@@ -326,7 +337,7 @@ class _Joined:
         count = len(level.faces)
         if not count:
             return level
-        return kernel.fit(
+        fitted = kernel.fit(
             self.positions,
             self.faces,
             self.wedges,
@@ -338,6 +349,23 @@ class _Joined:
             threads=threads,
             go_on=lambda: not cancelled(),
         )
+        if self.pinned is not None:
+            rows = np.flatnonzero(self.pinned)
+            places = fitted.positions.copy()
+            places[level.vertex_to[rows]] = self.positions[rows]
+            fitted = replace(fitted, positions=places)
+        return fitted
+
+    def with_shares(
+        self,
+        shares: Sequence[PartShare],
+        levels: Sequence[kernel.Level],
+        run: Callable[[F32 | None, list[int]], kernel.Decimation],
+    ) -> list[kernel.Level]:
+        """The levels with parts that keep their shares (see `lodpipe.geometry.parts`)."""
+        masks = [np.concatenate([s.faces[i] for i in self.used]) for s in shares]
+        factors = np.ones(len(self.positions), np.float32) if self.importance is None else self.importance
+        return hold_shares(self.faces, levels, [(s.keep, m) for s, m in zip(shares, masks, strict=True)], factors, run)
 
     def recognisable(
         self,
@@ -361,7 +389,7 @@ class _Joined:
                 values=self.values,
                 column_weights=[0.0] * self.values.shape[1],
                 importance=own.astype(np.float32),
-                locked=locked,
+                locked=locked if self.pinned is None else self.pinned if locked is None else locked | self.pinned,
                 threads=threads,
             ).levels
 
@@ -476,6 +504,12 @@ class _Joined:
         assert result.record is not None  # decimate_asset asked for it
         level = rebuild(self.positions, self.faces, self.wedges, self.values, result.record, triangles)
         return self.lod(asset, level, goal, reason)
+
+
+def _pinned(asset: Asset, used: list[int]) -> Bool | None:
+    if asset.importance is None or not asset.importance.pinned or not used:
+        return None
+    return np.concatenate([asset.importance.pinned[index] for index in used])
 
 
 def _width(mesh: Mesh, name: str) -> int:

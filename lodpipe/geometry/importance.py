@@ -6,17 +6,18 @@ reservation triangles [D], volumetric points [E]. All view-independent: directio
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from lodpipe.core.asset import Asset
 from lodpipe.core.errors import InvalidMesh
 from lodpipe.core.mesh import F32, F64, Mesh
-from lodpipe.core.skeleton import NODE_TYPES, PARTS, Importance, Segments, Skeleton
+from lodpipe.core.skeleton import NODE_TYPES, PARTS, Importance, PartShare, Segments, Skeleton
 from lodpipe.geometry.camera import views
 from lodpipe.geometry.flatten import Soup, flatten_once
+from lodpipe.geometry.parts import Bool, PartRule, part
 
 BORDER, VOLUME, TERMINAL = 3.0, 10.0, 100.0
 """What multiplies the quadrics of vertices on borders of segments, of volumetric points, and of terminal vertices."""
@@ -40,6 +41,8 @@ class ImportanceOptions:
     """0 or more: × (1 + saliency · s), s the mesh saliency of Lee et al. 2005, 0…1."""
     painted: str | None = None
     """Attribute with painted weights: a colour (red protects, blue reduces, grey is neutral) or a number (× itself)."""
+    parts: Mapping[str, PartRule] = field(default_factory=dict)
+    """What is asked of parts, by the names that `lodpipe.geometry.parts` knows."""
     cameras: tuple[tuple[float, float, float], ...] = ()
     """Directions from which the model will be looked at; volumetric points and visibility are theirs then."""
 
@@ -79,7 +82,26 @@ def importance(asset: Asset, options: ImportanceOptions | None = None) -> Import
         first = np.concatenate([[0], np.cumsum(counts)])
         extreme[reserved[:, 0] + first[owner]] = TERMINAL
     fading = [_filled(mesh, part) for mesh, part in zip(asset.meshes, np.split(extreme, splits), strict=True)]
-    return Importance(tuple(of_mesh), tuple(fading), reserved, owner, options.strength)
+    pinned, shares = _of_parts(asset, of_mesh, options.parts)
+    return Importance(tuple(of_mesh), tuple(fading), reserved, owner, options.strength, pinned, shares)
+
+
+def _of_parts(
+    asset: Asset, weights: list[F32], rules: Mapping[str, PartRule]
+) -> tuple[tuple[Bool, ...], tuple[PartShare, ...]]:
+    """Pins and shares of parts; weights are multiplied in place of `weights`' entries."""
+    pinned = [np.zeros(len(mesh.positions), bool) for mesh in asset.meshes]
+    shares = []
+    for name, rule in rules.items():
+        found = part(asset, name)
+        for index, inside in enumerate(found.vertices):
+            if rule.weight != 1:
+                weights[index] = np.where(inside, weights[index] * rule.weight, weights[index]).astype(np.float32)
+            if rule.pin or rule.keep == 1:
+                pinned[index] |= inside
+        if rule.keep is not None and 0 < rule.keep < 1:
+            shares.append(PartShare(name, rule.keep, found.faces))
+    return (tuple(pinned) if any(p.any() for p in pinned) else ()), tuple(shares)
 
 
 def seen_share(soup: Soup, directions: F64) -> F64:
@@ -232,5 +254,8 @@ def _check(options: ImportanceOptions) -> None:
         raise InvalidMesh(f"visibility lies from 0 to 1 (got {options.visibility:g})")
     if not options.saliency >= 0:
         raise InvalidMesh(f"saliency must not be negative (got {options.saliency:g})")
+    for name, rule in options.parts.items():
+        if not rule.weight > 0 or (rule.keep is not None and not 0 <= rule.keep <= 1):
+            raise InvalidMesh(f"part '{name}': weight must be positive, keep lie from 0 to 1")
     if any(not any(direction) for direction in options.cameras):
         raise InvalidMesh("a camera's direction must not be zero")

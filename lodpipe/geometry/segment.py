@@ -12,6 +12,8 @@ from lodpipe.core.skeleton import NODE_TYPES, PARTS, Segments, Skeleton
 
 TRUNK_SHARE = 0.6
 """A link between joints is part of the main body if it is at least so fat, compared with the joint it starts from."""
+END_SHARE = 1 / 3
+"""Of a branch that ends, the share of its length that is its end part."""
 JOINT = NODE_TYPES.index("joint")
 
 
@@ -30,7 +32,7 @@ def segment(asset: Asset, skeleton: Skeleton) -> Segments:
     node_segment = rank[node_segment]
     kinds, components = kinds[order], components[order]
     of_vertex = tuple(_take(node_segment, nodes) for nodes in skeleton.vertex_node)
-    part = tuple(_take(skeleton.node_type, nodes) for nodes in skeleton.vertex_node)
+    part = tuple(_take(_parts(skeleton, node_segment, kinds), nodes) for nodes in skeleton.vertex_node)
     border = tuple(_border(mesh.faces, own) for mesh, own in zip(asset.meshes, of_vertex, strict=True))
     return Segments(_names(kinds, components), kinds, components, node_segment, of_vertex, part, border)
 
@@ -90,6 +92,33 @@ def _cut(skeleton: Skeleton) -> tuple[I32, np.ndarray, I32, F64]:
                 if joint[path[-1]] and path[-1] in fresh:
                     todo.append(path[-1])
     return node_segment, np.array(kinds, np.int8), np.array(owner, np.int32), np.array(lengths)
+
+
+def _parts(skeleton: Skeleton, node_segment: I32, kinds: np.ndarray) -> np.ndarray:
+    """(N,) int8 the part that each node's domain is of (see `Segments.vertex_part`)."""
+    part = skeleton.node_type.copy()
+    near: list[list[int]] = [[] for _ in part]
+    for a, b in skeleton.edges.tolist():
+        near[a].append(b)
+        near[b].append(a)
+    has_joint = np.zeros(len(skeleton.components), bool)
+    has_joint[skeleton.component[part == JOINT]] = True
+    main = (kinds[node_segment] == PARTS.index("main")) & has_joint[skeleton.component]
+    part[main & (part != NODE_TYPES.index("single"))] = JOINT
+    for end in np.flatnonzero(part == NODE_TYPES.index("end")):
+        path = [int(end)]
+        while True:
+            further = [n for n in near[path[-1]] if n not in path[-2:]]
+            if len(path) > 1 and len(further) != 1:
+                break
+            path.append(further[0])
+            if part[path[-1]] == JOINT:
+                break
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(skeleton.positions[path], axis=0), axis=1))])
+        for n in np.array(path)[along < END_SHARE * along[-1]]:
+            if part[n] == NODE_TYPES.index("connection"):
+                part[n] = NODE_TYPES.index("end")
+    return part
 
 
 def _path(near: list[list[int]], joint: np.ndarray, start: int, step: int) -> list[int]:

@@ -10,10 +10,22 @@ from pydantic import Field
 from lodpipe.core.asset import Asset
 from lodpipe.geometry.importance import ImportanceOptions
 from lodpipe.geometry.importance import importance as importance_of
+from lodpipe.geometry.parts import PartRule
 from lodpipe.stage import Context, Params, stage
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Direction = tuple[float, float, float]
+
+
+class PartParams(Params):
+    """What is asked of a part."""
+
+    pin: bool = False
+    """Neither move nor remove its vertices."""
+    weight: Annotated[float, Field(gt=0, le=1e4)] = 1.0
+    """Multiplies its vertices' weights."""
+    keep: Share | None = None
+    """Share of its triangles that it keeps at every level that has room for them; 1 pins it."""
 
 
 class ImportanceParams(Params):
@@ -27,6 +39,8 @@ class ImportanceParams(Params):
     """How much vertices gain where the surface's curvature stands out."""
     painted: str | None = None
     """Attribute with painted weights: a colour (red protects, blue reduces, grey is neutral), or a number."""
+    parts: dict[str, PartParams] = Field(default_factory=dict)
+    """What is asked of parts: segments (`main`, `branch2`), kinds (`branch`), node types (`end`), nodes, materials."""
     cameras: tuple[Direction, ...] = ()
     """Directions from which the model will be seen; none: from all round."""
 
@@ -34,11 +48,12 @@ class ImportanceParams(Params):
 @stage("importance")
 def importance(asset: Asset, params: ImportanceParams, context: Context) -> Asset:
     """Weigh the source's vertices by skeleton, visibility, saliency and painted weights, for `decimate`."""
-    values = params.model_dump()
+    values = params.model_dump(exclude={"parts"})
     values["strength"] = None if params.strength == "auto" else params.strength
     if asset.skeleton is None or asset.segments is None:
         context.warn("importance without a skeleton: put `skeleton` and `segment` before it to keep branches")
-    found = importance_of(asset, ImportanceOptions(**values))
+    rules = {name: PartRule(**rule.model_dump()) for name, rule in params.parts.items()}
+    found = importance_of(asset, ImportanceOptions(**values, parts=rules))
     context.record("reserved", len(found.reserved), "branches")
     low = min((float(w.min()) for w in found.weight if len(w)), default=1.0)
     high = max((float(w.max()) for w in found.weight if len(w)), default=1.0)

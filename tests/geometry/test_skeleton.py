@@ -244,13 +244,14 @@ def test_options_out_of_range():
 
 
 def test_domains_are_carried_from_the_proxy():
-    """More triangles than balls are looked for on: every vertex has a node near it all the same."""
+    """More triangles than balls are looked for on: every vertex has a node of its own arm all the same."""
     mesh = limbs.blob(limbs.star_fields(4), (-1.2,) * 3, (1.2,) * 3, step=0.033)
     assert len(mesh.faces) > 8000
     found = of(mesh, options=WAYS["dcg"])
     assert found.count("end") == 4
-    away = np.linalg.norm(mesh.positions - found.positions[found.vertex_node[0]], axis=1)
-    assert np.quantile(away, 0.95) < 0.4
+    far = np.linalg.norm(mesh.positions, axis=1) > 0.7  # on an arm, whose nodes lie the same way
+    nodes = found.positions[found.vertex_node[0]]
+    assert (np.einsum("ij,ij->i", nodes, mesh.positions)[far] > 0.2).all()
 
 
 NAMED = {
