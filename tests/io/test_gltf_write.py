@@ -266,8 +266,12 @@ def test_a_primitive_writes_its_own_attributes_only(tmp_path: Path) -> None:
 
 def test_files_that_cannot_be_written_are_one_line(tmp_path: Path) -> None:
     mesh = Mesh(files.SQUARE, [[0, 1, 2]])
-    with pytest.raises(OutputError, match="cannot be written"):
-        io.save(Asset("x", (mesh,)), tmp_path / "missing" / "x.glb")
+    (tmp_path / "folder.glb").mkdir()
+    with pytest.raises(OutputError, match=r"folder\.glb cannot be written"):
+        io.save(Asset("x", (mesh,)), tmp_path / "folder.glb")
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(OutputError, match="the folder cannot be made"):
+        io.save(Asset("x", (mesh,)), tmp_path / "file" / "x.glb")
     with pytest.raises(OutputError, match="not a model format"):
         io.save(Asset("x", (mesh,)), tmp_path / "x.fbx")
 
