@@ -70,7 +70,7 @@ def metrics_text(status: Status, memory_bytes: int) -> str:
 def _headline(status: Status, style: Style) -> str:
     word = "watching" if status["running"] else "not running; watches"
     if status["paused"]:
-        word += " (paused)"
+        word = f"paused; {word}"
     colour = "green" if status["running"] and not status["paused"] else "yellow"
     process = f" (process {status['pid']})" if status["running"] else ""
     page = f", page on {status['address']}" if status["running"] and status["address"] else ""

@@ -10,7 +10,6 @@ import dataclasses
 import logging
 import os
 import queue
-import threading
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -28,12 +27,13 @@ from lodpipe.service.index import Index
 from lodpipe.service.intake import Order, Taken, take_in
 from lodpipe.service.job import AGAIN, INPUT, PASSING, Failure, Job, Outcome, fail
 from lodpipe.service.ledger import LONGEST_PAUSE, Ledger, about
+from lodpipe.service.lookout import Lookout
 from lodpipe.service.pool import process_start
 from lodpipe.service.priority import priority_of, rank
 from lodpipe.service.publish import Output
 from lodpipe.service.recipe import Recipe
 from lodpipe.service.root import RootGuard
-from lodpipe.service.scan import RootGone, Tree
+from lodpipe.service.scan import Tree
 from lodpipe.service.settle import Signature, judge
 from lodpipe.service.sight import Sight
 from lodpipe.service.snapshot import member_path
@@ -54,6 +54,8 @@ from lodpipe.service.table import (
 LEASE_SECONDS = 60.0
 PROGRESS_SECONDS = 1.0
 """Shortest time between two notes of a running job's progress."""
+DEATHS = 3
+"""How often, for each attempt that an asset has, the daemon itself may die with it before it counts as poison."""
 NEVER = float("inf")
 
 Submit = Callable[[Callable[[], Taken], Callable[[Taken], None]], None]
@@ -81,18 +83,12 @@ class Daemon:
         self.log, self.owner, self.once = log, owner, once
         self.executor: Executor | None = None
         self.draining = False
-        self.problem = ""
-        """Why nothing is done although it is not paused: the watched folder is gone, the disk is full."""
         self.index = Index(output.root)
         self._submit, self._wake = submit, wake
-        self._guard = RootGuard(root, table)
+        self._lookout = Lookout(RootGuard(root, table), table, clock, wake, log)
         self._ledger = Ledger(table, clock, log, root, output.root)
         self._sight = Sight(Tree(root), io.Limits())
         self.paused = False
-        self.polling = False
-        """Whether no events come, so that listing is all there is."""
-        self._dirty: set[str] = set()
-        self._dirty_lock = threading.Lock()
         self.apply(recipe)
         self._news: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._due: dict[str, float] = {}
@@ -100,7 +96,6 @@ class Daemon:
         self._ready: dict[str, Taken] = {}
         self._running: dict[str, tuple[Taken, float]] = {}
         self._noted: dict[str, float] = {}
-        self._next_scan = 0.0
         self._changes = -1
         self.recover()
 
@@ -108,14 +103,7 @@ class Daemon:
 
     def dirty(self, folder: str | None) -> None:
         """Something has changed in a folder, relative to the watched one; None: nobody knows where."""
-        with self._dirty_lock:
-            if folder is None:
-                self._full_scan = True
-            elif folder in self._dirty:
-                return
-            else:
-                self._dirty.add(folder)
-        self._wake()
+        self._lookout.tell(folder)
 
     def progress(self, key: str, step: int, stage: str, share: float) -> None:
         """A job is on its way."""
@@ -138,9 +126,10 @@ class Daemon:
         limits = recipe.config["limits"]
         self.limits = io.Limits(**{name: limits[name] for name in ("triangles", "texture_pixels", "input_bytes")})
         self._ledger.watch = self.watch
+        self._ledger.forgive([limits, self.watch.missing, self.watch.wait_s, self.watch.attempts])
         known = self._sight.tree.folders
         self._sight = Sight(Tree(self.root, (self.output.root.resolve(),), self.watch.ignore, known), self.limits)
-        self._full_scan = True
+        self._lookout.tell(None)
 
     def tick(self) -> float:
         """Do what is due; the monotonic time at which something will be due next."""
@@ -149,11 +138,12 @@ class Daemon:
             self._changes = changes
             self._requests()
         now = self.clock.monotonic()
-        self._scan(now)
+        if self._lookout.look(now, self._sight.tree, self.watch):
+            self._compare(now)
         for key in [key for key, due in self._due.items() if due <= now]:
             self._judge(key, now)
         self._dispatch()
-        return min([self._next_scan, *self._due.values(), self._next_try()])
+        return min([self._lookout.due(self.watch), *self._due.values(), self._next_try()])
 
     def last_news(self) -> None:
         """Take in what has been told."""
@@ -162,6 +152,15 @@ class Daemon:
                 self._news.get_nowait()()
         except queue.Empty:
             pass
+
+    @property
+    def problem(self) -> str:
+        """Why nothing is done although it is not paused: the watched folder is gone."""
+        return self._lookout.problem
+
+    def polls(self, yes: bool) -> None:
+        """Whether no events come, so that the folder must be listed more often."""
+        self._lookout.polling = yes
 
     @property
     def outcomes(self) -> int:
@@ -208,7 +207,12 @@ class Daemon:
         for row in self._ledger.rows.values():
             if row.state == RUNNING and row.key not in self._running:
                 self._ledger.set(row, QUEUED, reason="interrupted")
-        self._full_scan = True
+                if row.attempts >= DEATHS * self.watch.attempts:
+                    cause = f"the daemon has died {row.attempts} times while it was processed"
+                    self._quarantine(
+                        row, Failure(row.stage, cause, str(self.root / row.key), "`lodpipe retry`", "Crash")
+                    )
+        self._lookout.tell(None)
 
     @property
     def _executor(self) -> Executor:
@@ -225,48 +229,10 @@ class Daemon:
                         self._ledger.retry(row, force=bool(data.get("force")))
                         self._due[key] = 0.0
             elif data["what"] == "accept_root":
-                self._guard.accept()
-                self._full_scan = True
+                self._lookout.accept()
             self.table.end_request(number)
 
     # --- looking
-
-    def _scan(self, now: float) -> None:
-        with self._dirty_lock:
-            full = self._full_scan or now >= self._next_scan
-            dirty, self._dirty, self._full_scan = self._dirty, set(), False
-        if not full and not dirty:
-            return
-        problem = self._guard.problem()
-        if not problem:
-            try:
-                changed = self._sight.tree.scan(now, None if full else dirty)
-            except RootGone as error:
-                problem = f"the watched folder cannot be listed ({error}); waiting for it to come back"
-        if problem:
-            self._full_scan, self._next_scan = True, now + min(self.watch.poll_s, self.watch.rescan_s)
-            self._say_problem(problem)
-            return
-        self._say_problem("")
-        if full:
-            self._next_scan = now + self.clock.jitter(self.scan_seconds)
-        if changed or full:
-            self._compare(now)
-
-    @property
-    def scan_seconds(self) -> float:
-        """Time between two full listings."""
-        return self.watch.poll_s if self.polling else self.watch.rescan_s
-
-    def _say_problem(self, problem: str) -> None:
-        if problem == self.problem:
-            return
-        self.problem = problem
-        self.table.set_facts(problem=problem)
-        if problem:
-            self.log.warning("%s", problem)
-        else:
-            self.log.info("the watched folder is there again")
 
     def _compare(self, now: float) -> None:
         """Judge every asset that is not at rest or is another one than when it was taken."""

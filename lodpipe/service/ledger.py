@@ -57,6 +57,16 @@ class Ledger:
             setattr(row, name, value)
         self.table.put(row)
 
+    def forgive(self, bounds: Any) -> None:
+        """Give what has failed another chance if the `bounds` that it may have failed by are others than before."""
+        known = self.table.fact("bounds")
+        if known == bounds:
+            return
+        for row in self.rows.values():
+            if row.state == FAILED and known is not None:
+                self.set(row, FAILED, recipe="", failed="", reason="the limits changed")
+        self.table.set_facts(bounds=bounds)
+
     def retry(self, row: Row, *, force: bool) -> None:
         """The user asks for it."""
         self.set(row, SETTLING, **_CLEAN | {"recipe": "", "force": int(force), "reason": "asked for"})

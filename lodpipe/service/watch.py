@@ -188,7 +188,7 @@ class _Process:
         every, last_ping = watchdog_seconds(), 0.0
         while True:
             now = self.clock.monotonic()
-            self.daemon.polling = not self.watcher.check()
+            self.daemon.polls(not self.watcher.check())
             if self.signals.reload or self._config_changed(now):
                 self._reload()
             if self.signals.stop and self._stopped(now):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from pathlib import Path
 
 import pytest
@@ -177,6 +176,31 @@ def test_poison_does_not_stop_the_others_and_a_configuration_gives_it_another_ch
     assert not record.exists()
 
 
+def test_higher_limits_give_what_failed_another_chance(tmp_path):
+    world = World(tmp_path, CHAIN | {"limits": {"input_bytes": 100}})
+    write_obj(world.drop / "a.obj")
+    assert world.work() == []
+    world.chain = CHAIN
+    world.daemon.apply(world.recipe())
+    assert world.work() == ["a.obj"]
+    assert world.states() == {"a.obj": "done"}
+
+
+def test_an_asset_that_the_daemon_itself_dies_of_is_poison_too(world):
+    write_obj(world.drop / "a.obj")
+    write_obj(world.drop / "b.obj", cells=5)
+    for _ in range(6):
+        world.settle()
+        assert "a.obj" in world.executor.jobs
+        world.kill()
+        world.start()
+    assert world.states()["a.obj"] == "failed"
+    assert "the daemon has died 6 times" in world.row("a.obj").message
+    assert world.work() == ["b.obj"]
+    assert control.retry(world.output.state) == ["a.obj"]
+    assert world.work() == ["a.obj"]
+
+
 def test_retry_does_it_again_whether_the_daemon_runs_or_not(world):
     write_obj(world.drop / "a.obj")
     world.settle()
@@ -288,7 +312,7 @@ def test_the_empty_mount_point_of_a_share_is_no_mass_deletion(world):
 def test_resume_takes_another_folder_as_it_is(world):
     write_obj(world.drop / "a.obj")
     world.work()
-    shutil.rmtree(world.drop)
+    world.drop.rename(world.root / "old")
     world.drop.mkdir()
     write_obj(world.drop / "b.obj", cells=5)
     world.look(100)

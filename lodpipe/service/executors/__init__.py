@@ -84,7 +84,7 @@ def find_executor(name: str) -> Factory:
         return DaskExecutor
     points = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
     if name not in points:
-        raise ConfigError(f"there is no executor '{name}'{did_you_mean(name, ['local', *points])}")
+        raise ConfigError(f"there is no executor '{name}'{did_you_mean(name, ['local', 'dask', *points])}")
     try:
         factory: Factory = points[name].load()
         return factory
