@@ -145,7 +145,8 @@ class State:
         around = self.ring(gone)
         component = self._component(gone)
         if len(component) <= 4:
-            return Plan(gone, kept, self.p[kept], component, [], whole=True)
+            joined = any(gone in self.faces[f] and kept in self.faces[f] for f in component)
+            return Plan(gone, kept, self.p[kept], component, [], whole=True) if joined else None
         removed = [f for f in around if kept in self.faces[f]]
         before = around + [f for f in self.ring(kept) if f not in around] * full
         plan = Plan(gone, kept, self.p[kept], before, [f for f in before if f not in removed])

@@ -8,8 +8,10 @@ namespace lodpipe::similarity {
 namespace {
 
 constexpr float kHuge = 1e30f;
+constexpr float kSlack = 1e-5f;  // by which bounds are widened: rounding must not lose a hit
 
 int wrapped(int64_t i, int size, int mode) {
+  if (i >= 0 && i < size) return static_cast<int>(i);
   if (mode == 2) return static_cast<int>(std::clamp<int64_t>(i, 0, size - 1));
   const int64_t period = mode == 1 ? 2 * static_cast<int64_t>(size) : size;
   int64_t r = i % period;
@@ -55,6 +57,7 @@ void Rays::aim(Vec3 from, const std::vector<Vec3>& samples) {
 void Rays::pad_and_bound() {
   const int blocks = (count + kBlock - 1) / kBlock;
   bounds.assign(4 * static_cast<size_t>(blocks), 0);
+  all[0] = all[2] = kHuge, all[1] = all[3] = -kHuge;
   for (auto* column : {&x, &y, &z, &low, &high})
     column->resize(static_cast<size_t>(blocks) * kBlock, column->empty() ? 0 : column->back());
   for (int b = 0; b < blocks; ++b) {
@@ -68,6 +71,7 @@ void Rays::pad_and_bound() {
       range[0] = std::min(range[0], behind ? -kHuge : across), range[1] = std::max(range[1], behind ? kHuge : across);
       range[2] = std::min(range[2], behind ? -kHuge : above), range[3] = std::max(range[3], behind ? kHuge : above);
     }
+    for (int k = 0; k < 4; ++k) all[k] = k % 2 ? std::max(all[k], range[k]) : std::min(all[k], range[k]);
   }
 }
 
@@ -89,6 +93,19 @@ void Caster::cast(const Rays& rays, const Patch& patch) {
   for (int t = 0; t < count; ++t) {
     const Vec3 *corner = &patch.x[3 * static_cast<size_t>(t)], o = rays.origin;
     const Vec3 a = corner[0] - o, b = corner[1] - o, c = corner[2] - o;
+    float range[4] = {kHuge, -kHuge, kHuge, -kHuge};
+    for (const Vec3 d : {a, b, c}) {
+      const float depth = -dot(d, rays.back);
+      if (!(depth > 1e-2f)) {  // beside or behind the viewpoint: may be anywhere
+        range[0] = range[2] = -kHuge, range[1] = range[3] = kHuge;
+        break;
+      }
+      const float over = 1 / depth, across = dot(d, rays.right) * over, above = dot(d, rays.up) * over;
+      range[0] = std::min(range[0], across), range[1] = std::max(range[1], across);
+      range[2] = std::min(range[2], above), range[3] = std::max(range[3], above);
+    }
+    for (int k = 0; k < 4; ++k) range[k] += k % 2 ? kSlack : -kSlack;
+    if (range[0] > rays.all[1] || range[1] < rays.all[0] || range[2] > rays.all[3] || range[3] < rays.all[2]) continue;
     Plane plane;
     // b × c = b × (c − b): differences first keep the digits of small triangles
     plane.n[0] = cross(b, corner[2] - corner[1]);
@@ -99,19 +116,8 @@ void Caster::cast(const Rays& rays, const Patch& patch) {
     if (volume < 0)
       for (Vec3& n : plane.n) n = n * -1.0f;
     plane.per_volume = 1 / std::abs(volume);
-    float range[4] = {kHuge, -kHuge, kHuge, -kHuge};
-    for (const Vec3 d : {a, b, c}) {
-      const float depth = -dot(d, rays.back);
-      if (!(depth > 1e-2f)) {  // beside or behind the viewpoint: may be anywhere
-        range[0] = range[2] = -kHuge, range[1] = range[3] = kHuge;
-        break;
-      }
-      const float across = dot(d, rays.right) / depth, above = dot(d, rays.up) / depth;
-      range[0] = std::min(range[0], across), range[1] = std::max(range[1], across);
-      range[2] = std::min(range[2], above), range[3] = std::max(range[3], above);
-    }
     planes_.push_back(plane);
-    bounds_.insert(bounds_.end(), {range[0] - 1e-5f, range[1] + 1e-5f, range[2] - 1e-5f, range[3] + 1e-5f});
+    bounds_.insert(bounds_.end(), range, range + 4);
     usable_.push_back(t);
   }
   inverse_.resize(rays.x.size());

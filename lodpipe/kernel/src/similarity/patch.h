@@ -48,6 +48,7 @@ struct Rays {
   std::vector<float> low, high;    // bounds of 1 / t within which a hit counts
   Vec3 right, up, back;            // of the plane that blocks are compared in
   std::vector<float> bounds;       // of each block there: least and most across, least and most up
+  float all[4];                    // of all of them
 
   void aim(Vec3 from, const std::vector<Vec3>& samples);
   // Only hits within `radius` of the origin of coordinates count from now on.

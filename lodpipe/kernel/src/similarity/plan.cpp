@@ -34,6 +34,7 @@ Stop Planner::plan(int32_t gone, int32_t kept, Collapse& c, Scratch& w, bool* ex
   *exists = false;
   if (mesh_.ring[gone].size() <= kVanishFaces && mesh_.component(gone, kVanishFaces, c.before)) {
     for (const int32_t f : c.before) *exists |= mesh_.faces[f].has(gone) && mesh_.faces[f].has(kept);
+    if (!*exists) return Stop::topology;
     c.removed = c.before;
     c.whole = true;
     for (const int32_t f : c.before)

@@ -22,8 +22,15 @@ class RayCost final : public Cost {
       : mesh_(mesh), scene_(scene), options_(options), shading_(scene), directions_(hemisphere(options.views)),
         step_(options.spacing * std::sqrt(2 * mesh.mean_area)) {
     if (options.reference == Reference::previous) return;
-    original_.p = mesh.p;
-    original_.faces = mesh.faces;
+    for (const Face& face : mesh.faces) {
+      const int row = scene.face_look[face.source];
+      const Point flat = cross(mesh.p[face.v[1]] - mesh.p[face.v[0]], mesh.p[face.v[2]] - mesh.p[face.v[0]]);
+      for (int k = 0; k < 3; ++k) {
+        original_.x.push_back(mesh.p[face.v[k]]);
+        original_.corners.push_back(shading_.corner(mesh.values(face.w[k]), row, flat));
+      }
+      original_.look.push_back(row);
+    }
     if (options.correspondence == Correspondence::uv) {
       sets_.resize(mesh.faces.size());
       for (size_t f = 0; f < sets_.size(); ++f) sets_[f] = {static_cast<int32_t>(f)};
@@ -42,10 +49,11 @@ class RayCost final : public Cost {
     if (!(farthest > 0) || !(step_ > 0)) return 0;
     const double scale = 1 / farthest;
     s.before.clear(), s.after.clear();
-    for (const int32_t f : c.before) add_face(mesh_, shading_, c, f, look(f), false, center, scale, s.before);
     for (const int32_t f : c.after) add_face(mesh_, shading_, c, f, look(f), true, center, scale, s.after);
     const bool local = options_.reference == Reference::previous;
     if (!local) gather_original(c, s, center, farthest);
+    else
+      for (const int32_t f : c.before) add_face(mesh_, shading_, c, f, look(f), false, center, scale, s.before);
     const double step = std::max(step_, std::sqrt(area / kMostSamples));
     s.samples.clear();
     for (const int32_t f : c.before) {
@@ -74,7 +82,7 @@ class RayCost final : public Cost {
       const int32_t f = c.after[i];
       const UvTriangle now(mesh_, c, f, true, uv_column(f));
       for (const bool all : {false, true}) {  // all of them where the UVs cannot tell
-        s.unmark(original_.faces.size());
+        s.unmark(original_.look.size());
         for (const int32_t g : c.before)
           if (all || (look(f) == look(g) && now.overlaps(UvTriangle(mesh_, c, g, false, uv_column(g)))))
             for (const int32_t o : sets_[g])
@@ -118,7 +126,7 @@ class RayCost final : public Cost {
     s.faces.clear();
     if (tree_) tree_->near(center, kReach * farthest, s.faces);
     else {
-      s.unmark(original_.faces.size());
+      s.unmark(original_.look.size());
       for (const int32_t f : c.before)
         for (const int32_t o : sets_[f])
           if (s.take(o)) s.faces.push_back(o);
@@ -126,17 +134,13 @@ class RayCost final : public Cost {
     s.original.clear();
     const double scale = 1 / farthest;
     for (const int32_t o : s.faces) {
-      const Face& face = original_.faces[o];
-      const int row = scene_.face_look[face.source];
-      const Point a = original_.p[face.v[0]];
-      const Point flat = cross(original_.p[face.v[1]] - a, original_.p[face.v[2]] - a);
-      for (int k = 0; k < 3; ++k) {
-        const Point x = (original_.p[face.v[k]] - center) * scale;
+      const size_t first = 3 * static_cast<size_t>(o);
+      for (size_t k = first; k < first + 3; ++k) {
+        const Point x = (original_.x[k] - center) * scale;
         s.original.x.push_back({static_cast<float>(x.x), static_cast<float>(x.y), static_cast<float>(x.z)});
-        const float* values = mesh_.input.values + static_cast<size_t>(face.w[k]) * mesh_.columns;
-        s.original.corners.push_back(shading_.corner(values, row, flat));
+        s.original.corners.push_back(original_.corners[k]);
       }
-      s.original.look.push_back(row);
+      s.original.look.push_back(original_.look[o]);
     }
   }
 
@@ -157,9 +161,10 @@ class RayCost final : public Cost {
   Shading shading_;
   std::vector<Point> directions_;
   double step_;
-  struct {
-    std::vector<Point> p;
-    std::vector<Face> faces;
+  struct {  // three of the first two for each triangle
+    std::vector<Point> x;
+    std::vector<Corner> corners;
+    std::vector<int32_t> look;
   } original_;
   std::vector<std::vector<int32_t>> sets_;  // S_t: the original triangles that a live one stands for
   std::optional<BoxTree> tree_;
