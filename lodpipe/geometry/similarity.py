@@ -114,7 +114,8 @@ def dress(asset: Asset, joined: _Joined, pixels: Mapping[int, U8]) -> Dressed:
         for primitive in mesh.primitives:
             key = (primitive.material, frozenset(primitive.attributes))
             if key not in known:
-                material = Material() if primitive.material is None else asset.materials[primitive.material]
+                known_material = primitive.material is not None and primitive.material < len(asset.materials)
+                material = asset.materials[primitive.material or 0] if known_material else Material()
                 known[key] = len(looks)
                 looks.append(_look(asset, material, primitive.attributes, starts, pixels, images, used))
             primitive_look.append(known[key])

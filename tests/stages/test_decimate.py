@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from lodpipe.core.asset import Asset, Target
 from lodpipe.core.errors import Cancelled
+from lodpipe.core.material import Image, Material
 from lodpipe.core.mesh import Mesh
 from lodpipe.geometry.decimate import AttributeWeights
 from lodpipe.kernel import QuadricOptions
@@ -143,3 +144,38 @@ def test_cancelling_comes_through():
 def test_parameters_out_of_range_are_refused(params):
     with pytest.raises(ValidationError):
         DecimateParams(**params)
+
+
+def test_ray_metrics_reach_their_kernel():
+    ball = uv_sphere(12, 16).mesh()
+    made = {}
+    for metric in ("ray", "texture_deviation", "image"):
+        asset, context = run(ball, metric=metric, collapse="half", image_size=32, views=4)
+        assert [level.triangles for level in asset.lods[1:]] == [len(ball.faces) // 2, 100]
+        assert context.warnings == []
+        made[metric] = asset.lods[2].meshes[0].fingerprint()
+    for change in (
+        {"reference": "previous"},
+        {"correspondence": "uv"},
+        {"views": 5},
+        {"penalty": "view"},
+        {"spacing": 0.5},
+    ):
+        asset, _ = run(ball, metric="ray", collapse="half", **{"views": 4, **change})
+        made[str(change)] = asset.lods[2].meshes[0].fingerprint()
+    assert len(set(made.values())) == len(made)
+
+
+def test_a_missing_texture_is_told_and_its_factor_stands_in():
+    texture = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "baseColorFactor": [0.5, 0.5, 0.5, 1.0]}}
+    asset = Asset(
+        "a",
+        (uv_sphere(12, 16).mesh(),),
+        (Material(texture),),
+        (Image(problem="skin.png is missing"),),
+        {"textures": [{"source": 0}], "nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}], "scene": 0},
+    )
+    context = Context(lods=(Target(triangles=50),), threads=1)
+    made = decimate(asset, DecimateParams(metric="ray", views=3), context)
+    assert made.lods[1].triangles == 50
+    assert context.warnings == ["skin.png is missing: the material's factor colour stands in for it"]

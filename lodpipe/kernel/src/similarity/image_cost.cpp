@@ -170,26 +170,37 @@ class ImageCost final : public Cost {
       }
     if (c.moves) cover(view, c.place, rect);
     if (rect.empty()) return;
+    bool shown = false;
+    float farthest = 1e30f;  // least 1 / depth of what the rectangle shows
+    for (int y = rect.top; y <= rect.bottom; ++y)
+      for (int x = rect.left; x <= rect.right; ++x) {
+        const size_t pixel = static_cast<size_t>(y) * size_ + x;
+        shown |= in_region(view, c, pixel);
+        farthest = std::min(farthest, view.inverse[pixel]);
+      }
+    if (!shown && nearest(view, c) < farthest) return;  // hidden before and after
     aim(view, rect, s);
     s.after.clear();
     for (const int32_t f : c.after) add(c, f, true, s.after);
     s.second.cast(s.rays, s.after);
     s.unmark(mesh_.faces.size());
     for (const int32_t f : c.before) s.take(f);
-    // what would be uncovered
+    // what would be uncovered: only where the region was shown, and what replaces it is not nearer
     s.faces.clear();
     int ray = 0;
-    bool shown = false;
     for (int y = rect.top; y <= rect.bottom; ++y)
-      for (int x = rect.left; x <= rect.right; ++x) shown |= in_region(view, c, static_cast<size_t>(y) * size_ + x);
-    if (shown)
-      for (int y = rect.top / kTile; y <= rect.bottom / kTile; ++y)
-        for (int x = rect.left / kTile; x <= rect.right / kTile; ++x)
-          for (const int32_t f : view.list[static_cast<size_t>(y) * tiles_ + x])
-            if (!mesh_.faces[f].dead && s.take(f)) s.faces.push_back(f);
+      for (int x = rect.left; x <= rect.right; ++x, ++ray) {
+        const size_t pixel = static_cast<size_t>(y) * size_ + x;
+        if (!in_region(view, c, pixel) || s.second.nearer(ray, view.inverse[pixel])) continue;
+        for (const int32_t f : view.list[static_cast<size_t>(y / kTile) * tiles_ + x / kTile])
+          if (!mesh_.faces[f].dead && s.take(f)) s.faces.push_back(f);
+        x |= kTile - 1;  // the tile's other pixels of this row have the same list
+        ray += std::min(x, rect.right) - static_cast<int>(pixel % static_cast<size_t>(size_));
+      }
     s.original.clear();
     for (const int32_t f : s.faces) add(c, f, false, s.original);
     s.first.cast(s.rays, s.original);
+    ray = 0;
     for (int y = rect.top; y <= rect.bottom; ++y)
       for (int x = rect.left; x <= rect.right; ++x, ++ray) {
         const size_t pixel = static_cast<size_t>(y) * size_ + x;
@@ -206,6 +217,17 @@ class ImageCost final : public Cost {
           change(pixel, s.faces[other.triangle], other.inverse, seen(s, s.original, other, ray));
         else change(pixel, kNone, 0, kBackground);
       }
+  }
+
+  // Greatest 1 / depth of the corners that the new faces have.
+  float nearest(const View& view, const Collapse& c) const {
+    float most = 0;
+    for (const int32_t f : c.after)
+      for (int k = 0; k < 3; ++k) {
+        const Vec3 d = local(corner_of(mesh_, c, mesh_.faces[f], k, true).x) - view.from;
+        most = std::max(most, 1 / std::max(-dot(d, view.rays.back), 1e-3f));
+      }
+    return most * (1 + 1e-5f);
   }
 
   bool in_region(const View& view, const Collapse& c, size_t pixel) const {

@@ -70,7 +70,8 @@ class Caster {
   void cast(const Rays& rays, const Patch& patch);
   Hit hit(const Rays& rays, const Patch& patch, int ray) const;  // with the patch that was cast on
   int triangle(int ray) const { return triangle_[ray]; }
-  float inverse(int ray) const { return inverse_[ray]; }
+  // Whether the ray meets something at least as near as 1 / inverse.
+  bool nearer(int ray, float inverse) const { return triangle_[ray] >= 0 && inverse_[ray] >= inverse; }
 
  private:
   struct Plane {
