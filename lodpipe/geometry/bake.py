@@ -103,8 +103,8 @@ class Baked:
 
 
 def padding_for(side: int) -> float:
-    """Texels between charts that keep them apart up to mip 3 of a texture of 1024², in proportion for others."""
-    return max(4.0, side / 42)
+    """Texels that keep charts apart up to mip 3 of a texture of 1024²; in proportion, up to 64, for others."""
+    return min(max(4.0, side / 42), 64.0)
 
 
 def groups_of(asset: Asset, meshes: Sequence[Mesh], merge: bool) -> list[Group]:
@@ -143,9 +143,9 @@ def bake_level(
     """New UVs and textures for `level`, sampled from `asset`'s meshes.
 
     `groups` are those of `groups_of` with their sizes; `sources` has a SourceMesh for each mesh that they name; `reach`
-    is how far in the mesh's unit the source may lie from the level. `layouts` has UVs (F, 3, 2) in texels for each
-    group's faces, part after part; left out, the level is unfolded. Raises Cancelled, InvalidMesh where a texture is
-    too small for its charts.
+    is how far in the scene's unit the source may lie from the level, each mesh at its largest placement. `layouts` has
+    UVs (F, 3, 2) in texels for each group's faces, part after part; left out, the level is unfolded. Raises Cancelled,
+    InvalidMesh where a texture is too small for its charts.
     """
     baked = Baked(level.meshes, [])
     sizes = _placed_sizes(asset)
@@ -163,7 +163,8 @@ def bake_level(
         for number, rows in group.parts:
             corners[number].put_uv(rows, packed[start : start + len(rows)] / group.side)
             start += len(rows)
-    jobs = [_Job(asset, level.meshes, group, corners, sources, textures, reach, options) for group in groups]
+    reaches = {number: reach / sizes.get(number, 1.0) for number in corners}
+    jobs = [_Job(asset, level.meshes, group, corners, sources, textures, reaches, options) for group in groups]
     bent = {number for job in jobs if any(map(is_normal, job.paths)) for number, _ in job.group.parts}
     for number, part in corners.items():
         part.finish(number in bent, sources[number].corner_normals if options.same_surface else None)
@@ -216,7 +217,7 @@ class _Job:
         corners: Mapping[int, Corners],
         sources: Mapping[int, SourceMesh],
         textures: SlotTextures,
-        reach: float,
+        reach: Mapping[int, float],
         options: BakeOptions,
     ) -> None:
         self.group, self.corners, self.sources, self.reach, self.options = group, corners, sources, reach, options
@@ -323,7 +324,7 @@ class _Job:
                 if self.options.same_surface:
                     found = Found(faces[chosen], weights[chosen], np.zeros(len(chosen), bool))
                 else:
-                    found = source.find(points[chosen], normals[chosen], self.reach, allowed)
+                    found = source.find(points[chosen], normals[chosen], self.reach[number], allowed)
                 inside = seen.inside.ravel()[mine[chosen]]
                 self.texels += int(inside.sum())
                 self.missed += int((found.missed & inside).sum())

@@ -7,11 +7,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lodpipe.core.asset import Asset
+from lodpipe.core.asset import Asset, Lod
 from lodpipe.core.errors import AssetError, LimitError
 from lodpipe.geometry.decimate import AttributeWeights, Unseen, decimate_asset
 from lodpipe.geometry.flatten import flatten
 from lodpipe.geometry.pictures import Gallery, Setup
+from lodpipe.geometry.strip import without_uvs
 from lodpipe.geometry.surface import image_index
 from lodpipe.geometry.texture import U8, Textures
 from lodpipe.geometry.visible import Sight
@@ -47,6 +48,9 @@ class DecimateParams(Params):
     """Where a full collapse puts the merged vertex."""
     weighting: Literal["area", "area-angle", "uniform"] = "area"
     """What each face's plane weighs."""
+    uvs: Literal["kept", "free"] = "kept"
+    """`free`: levels have no UVs, normals or vertex colours, whose seams then do not hold the surface back: for chains
+    in which `bake` follows, which gives them new ones."""
     attributes: bool = DEFAULTS.attribute_cost
     """Whether UVs, normals and colours steer; if not they are carried all the same."""
     uv_weight: Weight = AttributeWeights.uv
@@ -99,6 +103,9 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
     for mesh in asset.meshes:
         if mesh.keep_reason:
             context.warn(f"mesh '{mesh.name}' is not simplified: {mesh.keep_reason}")
+    source = asset
+    if params.uvs == "free":
+        asset = without_uvs(asset)
     similarity = _similarity(params)
     options = similarity or _quadric(asset, params)
     pixels = _pixels(asset, context) if similarity else {}
@@ -120,7 +127,7 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
             context.warn(f"level {number} stopped at {level.triangles} triangles: {REASONS[level.stop_reason]}")
         if level.relaxed:
             context.warn(f"level {number} could only be reached by changing the topology")
-    return replace(asset, lods=levels)
+    return replace(source, lods=(Lod(source.meshes), *levels[1:]))
 
 
 def _quadric(asset: Asset, params: DecimateParams) -> QuadricOptions:

@@ -147,3 +147,28 @@ def test_the_same_bytes_for_any_number_of_threads():
 def test_other_parameters_are_refused(params):
     with pytest.raises(ValidationError):
         BakeParams(**params)
+
+
+def test_the_distance_is_that_of_the_scene():
+    """A mesh of a hundred units that a node makes small: nothing is missed for being a hundred times as far."""
+    asset = two_levels()
+    large = [dataclasses.replace(m, positions=m.positions * 100) for m in (asset.meshes[0], asset.lods[1].meshes[0])]
+    document = {**asset.document, "nodes": [{"mesh": 0, "scale": [0.01] * 3}], "scenes": [{"nodes": [0]}]}
+    levels = (Lod((large[0],)), Lod((large[1],), estimate=4.0))
+    scaled = dataclasses.replace(asset, meshes=(large[0],), document=document, lods=levels)
+    _, context = run(scaled, size=64)
+    assert {m.name: m.value for m in context.measurements}["lod1.missed"] < 1
+
+
+def test_levels_decimated_without_uvs_get_new_ones():
+    from lodpipe.core.asset import Target
+    from lodpipe.stages.decimate import DecimateParams, decimate
+
+    asset = dataclasses.replace(two_levels(), lods=())
+    free = decimate(asset, DecimateParams(uvs="free"), Context(lods=(Target(ratio=0.1),)))
+    assert free.lods[0].meshes is asset.meshes
+    assert "TEXCOORD_0" not in free.lods[1].meshes[0].attributes
+    baked, _ = run(free, size=128)
+    (figures,) = uv_defects(baked.lods[1].meshes[0])
+    assert (figures.missing_faces, figures.overlap_percent) == (0, 0)
+    assert set(baked.lods[1].meshes[0].attributes) == {"TEXCOORD_0", "NORMAL", "TANGENT"}
