@@ -86,12 +86,15 @@ def test_installed_metadata_is_that_of_the_project():
 
 READ_ONLY = {"dash-model-viewer"}
 """Packages of which a file is read and nothing imported."""
+EXTRAS = ("dask", "heat")
+"""Optional dependencies that the code, not only the tests, imports where they are there."""
 
 
 def test_every_imported_package_is_a_declared_dependency():
     """A package that only happens to come along with another one may be gone tomorrow."""
     names = {"yaml": "pyyaml", "PIL": "pillow", "DracoPy": "dracopy", "flip_evaluator": "flip-evaluator"}
-    declared = {re.split(r"[<>=; ]", line)[0].removesuffix("-cpu") for line in PROJECT["dependencies"]}
+    lines = PROJECT["dependencies"] + [line for extra in EXTRAS for line in PROJECT["optional-dependencies"][extra]]
+    declared = {re.split(r"[<>=; ]", line)[0].removesuffix("-cpu") for line in lines}
     used = {item.target.split(".")[0] for name, path in modules(REPO).items() for item in imports(path, name)}
     foreign = {names.get(name, name) for name in used - sys.stdlib_module_names - {"lodpipe"}}
     assert foreign | READ_ONLY == declared
