@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
-import queue
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -23,7 +23,6 @@ from lodpipe.service.batch import job_of, threads_for
 from lodpipe.service.clock import Clock
 from lodpipe.service.discover import Found
 from lodpipe.service.executors import Executor
-from lodpipe.service.index import Index
 from lodpipe.service.intake import Order, Taken, take_in
 from lodpipe.service.job import AGAIN, INPUT, PASSING, Failure, Job, Outcome, fail
 from lodpipe.service.ledger import LONGEST_PAUSE, Ledger, about
@@ -83,14 +82,13 @@ class Daemon:
         self.log, self.owner, self.once = log, owner, once
         self.executor: Executor | None = None
         self.draining = False
-        self.index = Index(output.root)
         self._submit, self._wake = submit, wake
         self._lookout = Lookout(RootGuard(root, table), table, clock, wake, log)
         self._ledger = Ledger(table, clock, log, root, output.root)
         self._sight = Sight(Tree(root), io.Limits())
         self.paused = False
         self.apply(recipe)
-        self._news: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._news: deque[Callable[[], None]] = deque()
         self._due: dict[str, float] = {}
         self._taking: set[str] = set()
         self._ready: dict[str, Taken] = {}
@@ -107,14 +105,14 @@ class Daemon:
 
     def progress(self, key: str, step: int, stage: str, share: float) -> None:
         """A job is on its way."""
-        self._news.put(lambda: self._note_progress(key, step, stage, share))
+        self._news.append(lambda: self._note_progress(key, step, stage, share))
 
     def ended(self, key: str, outcome: Outcome | None) -> None:
         """A job is through, or was stopped."""
         self._tell(lambda: self._finish(key, outcome))
 
     def _tell(self, news: Callable[[], None]) -> None:
-        self._news.put(news)
+        self._news.append(news)
         self._wake()
 
     # --- the cycle
@@ -146,12 +144,10 @@ class Daemon:
         return min([self._lookout.due(self.watch), *self._due.values(), self._next_try()])
 
     def last_news(self) -> None:
-        """Take in what has been told."""
-        try:
-            while True:
-                self._news.get_nowait()()
-        except queue.Empty:
-            pass
+        """Take in what has been told. What cannot be taken in now (a full disk) stays the first to be taken next."""
+        while self._news:
+            self._news[0]()
+            self._news.popleft()
 
     @property
     def problem(self) -> str:
@@ -164,7 +160,7 @@ class Daemon:
 
     @property
     def outcomes(self) -> int:
-        """Results published and failures recorded since the start."""
+        """How often the output folder has changed since the start."""
         return self._ledger.outcomes
 
     @property
@@ -332,7 +328,9 @@ class Daemon:
             self._ledger.set(row, GONE, message="", missing=[])
         else:
             self._ledger.forget(row)
-        self.log.info("%s: gone; its result stays", row.key, extra={"asset": row.place})
+        self._ledger.outcomes += 1
+        stays = "; its result stays" if row.revision else ""
+        self.log.info("%s: gone%s", row.key, stays, extra=about(row))
 
     def _give_up(self, row: Row, facts: dict[str, Any], missing: tuple[str, ...]) -> None:
         failure = Failure(
@@ -523,7 +521,6 @@ class Daemon:
             self._ledger.again(row, outcome.message)
         else:
             self._ledger.failed(row, outcome, self.recipe.id)
-        self.index.changed()
         # what happened to its files meanwhile was not looked at
         if self._sight.tree.get(key) is None:
             self._vanished(row)

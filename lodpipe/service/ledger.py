@@ -25,7 +25,7 @@ class Ledger:
         self.watch = Watch()
         self.rows: dict[str, Row] = {}
         self.outcomes = 0
-        """Results published and failures recorded since the start."""
+        """How often the output folder has changed since the start: results, records of failures, and their end."""
         self.load()
 
     def load(self) -> None:

@@ -39,6 +39,8 @@ SHORTEST_SECONDS = 0.05
 """Between two looks, however many events come."""
 CONFIG_SECONDS = 2.0
 DISK_SECONDS = 2.0
+MISHAPS = 10
+"""How many bugs in a row, without one look at the folder that goes well, are too many."""
 STOP_SECONDS = 10.0
 
 
@@ -185,7 +187,7 @@ class _Process:
         places = f"{self.request.drop} → {self.request.output}"
         self.log.info("watching %s%s", places, f", status on {self.server.address}" if self.server else "")
         notify("READY=1", f"STATUS=watching {places}")
-        every, last_ping = watchdog_seconds(), 0.0
+        every, last_ping, mishaps = watchdog_seconds(), 0.0, 0
         while True:
             now = self.clock.monotonic()
             self.daemon.polls(not self.watcher.check())
@@ -195,12 +197,15 @@ class _Process:
                 return 0
             try:
                 due = self.daemon.tick()
-            except (sqlite3.OperationalError, OutputError) as error:
-                self.log.error("the job table cannot be written (%s); trying again", error)
+                mishaps = 0
+            except Exception as error:  # a full disk, or a bug: the assets and the table are what they were
+                mishaps += 1
+                expected = isinstance(error, sqlite3.OperationalError | OSError | LodpipeError)
+                if not expected and mishaps > MISHAPS:
+                    raise
+                self.log.error("%s: %s; going on", type(error).__name__, error, exc_info=None if expected else error)
                 due = now + DISK_SECONDS
                 self._recover()
-            if not self.daemon.busy:
-                self.daemon.index.settle()
             self.hooks.look()
             self._tell_problems()
             self._update_index()
@@ -232,8 +237,8 @@ class _Process:
     def _recover(self) -> None:
         try:
             self.daemon.recover()
-        except sqlite3.OperationalError:
-            self.waker.wait(DISK_SECONDS)
+        except (sqlite3.OperationalError, OSError, LodpipeError) as error:
+            self.log.error("%s; going on", error)
 
     def _verdict(self) -> int:
         if self.daemon.problem:
@@ -291,7 +296,8 @@ class _Process:
         if self.daemon.executor:
             self.daemon.executor.close()
         self.intake.shutdown(cancel_futures=True)
-        self.index.settle()
+        if self.daemon.outcomes:
+            self.index.update()
         try:
             self.daemon.last_news()
         except (sqlite3.Error, LodpipeError) as error:

@@ -244,7 +244,8 @@ def mass(root: Path, count: int) -> dict[str, object]:
         start_line = next(x for x in daemon.lines() if x["message"].startswith(f"late{number}.obj: start"))
         late.append(when(start_line) - dropped - SETTLE)
     base = sqlite3.connect(daemon.out / ".lodpipe" / "jobs.sqlite")
-    ours = [row[0] for row in base.execute("SELECT seconds FROM asset WHERE place LIKE 'late%'").fetchall()]
+    found = base.execute("SELECT place, seconds FROM asset").fetchall()
+    ours = [seconds for place, seconds in found if os.fsdecode(place).startswith("late")]
     base.close()
     plain = []
     for number in range(5):

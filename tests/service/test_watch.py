@@ -138,8 +138,36 @@ def test_once_does_what_is_there_and_tells_by_its_exit_code(tmp_path, capsys):
     request = Request(tmp_path / "drop", tmp_path / "out", config, plugins=plugins, once=True)
     assert watch(request, daemon_log(system.stderr, text=False)) == 1
     assert "nothing is left to do: 1 done, 1 failed" in capsys.readouterr().err
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert 'href=".failed/bad/error.json"' in page
+    assert 'href="a/' in page
     (tmp_path / "drop" / "bad.obj").unlink()
     assert watch(request, daemon_log(system.stderr, text=True)) == 0
+    assert ".failed" not in (tmp_path / "out" / "index.html").read_text()
+
+
+def test_a_bug_in_one_look_does_not_end_it(tmp_path, monkeypatch, capsys):
+    from lodpipe.service import watch as module
+    from lodpipe.service.daemon import Daemon
+
+    monkeypatch.setattr(module, "DISK_SECONDS", 0.0)
+    write_obj(tmp_path / "drop" / "a.obj")
+    (tmp_path / "chain.yaml").write_text(json.dumps(CHAIN | {"watch": {"settle_s": 0.1}}))
+    plugins = (str(plugin_folder(tmp_path)),)
+    request = Request(tmp_path / "drop", tmp_path / "out", str(tmp_path / "chain.yaml"), plugins=plugins, once=True)
+    finish, bugs = Daemon._finish, [ZeroDivisionError("a bug"), OSError(5, "Input/output error")]
+
+    def broken(self, key, outcome):
+        if bugs:
+            raise bugs.pop(0)
+        finish(self, key, outcome)
+
+    monkeypatch.setattr(Daemon, "_finish", broken)
+    monkeypatch.setattr(module, "MISHAPS", 1)
+    assert watch(request, daemon_log(sys.stderr, text=False)) == 0
+    said = capsys.readouterr().err
+    assert "ZeroDivisionError: a bug; going on" in said
+    assert "nothing is left to do: 1 done" in said
 
 
 def test_folders_that_would_feed_on_themselves_are_refused(tmp_path):
