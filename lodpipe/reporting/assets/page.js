@@ -92,7 +92,8 @@
   // --- the two viewers
 
   const slider = byId("level");
-  const state = { level: slider ? Number(slider.value) : 0, look: "textured", wires: false, view: 0 };
+  const look = document.querySelector("input[name=look]:checked").value;
+  const state = { level: slider ? Number(slider.value) : 0, look, wires: false, view: 0 };
   const panes = ["left", "right"].map((side) => ({
     root: byId(side),
     stage: byId(side).querySelector(".stage"),
