@@ -9,7 +9,7 @@ import numpy as np
 
 from lodpipe.core.asset import Asset
 from lodpipe.core.mesh import F32
-from lodpipe.geometry.metrics import Bool
+from lodpipe.geometry.metrics import Bool, crop_box
 from lodpipe.geometry.pictures import MARGIN, Gallery, in_threads
 from lodpipe.geometry.render import finished
 from lodpipe.geometry.switch import SCREEN_HEIGHT
@@ -75,11 +75,18 @@ class Sight:
 
         def part(view: int) -> float:
             background, linear = self.source.setup.background(view), self.source.setup.lighting.linear
-            pair = [phases(gallery.shot(view, size).colours, height) for gallery in (self.source, other)]
-            shown = np.count_nonzero((pair[0][::2, ::2, 3] > 0) | (pair[1][::2, ::2, 3] > 0))
-            mask = unexplained(*(finished(colours, background, linear) for colours in pair))
+            shots = [gallery.shot(view, size).colours for gallery in (self.source, other)]
+            if shots[0] is shots[1] or np.array_equal(*shots):
+                return 0.0
+            pair = [phases(colours, height) for colours in shots]
+            covered = (pair[0][::2, ::2, 3] > 0) | (pair[1][::2, ::2, 3] > 0)
+            shown = np.count_nonzero(covered)
+            if not shown:
+                return 0.0
+            rows, columns = (slice(2 * part.start, 2 * part.stop - 1) for part in crop_box(covered))
+            mask = unexplained(*(finished(colours[rows, columns], background, linear) for colours in pair))
             solid = mask[1:, 1:] & mask[:-1, 1:] & mask[1:, :-1] & mask[:-1, :-1]
-            return float(np.count_nonzero(solid)) / max(float(shown), 1.0)
+            return float(np.count_nonzero(solid) / shown)
 
         return max(in_threads(part, self.source.setup.views, self.source.threads), default=0.0)
 
