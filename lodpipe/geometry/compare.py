@@ -12,10 +12,11 @@ from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.metrics import SMALLEST, Sums, difference, facing_angles, flip_map
 from lodpipe.geometry.palette import heat
 from lodpipe.geometry.pictures import Gallery, Setup, Shot, framed, in_threads
-from lodpipe.geometry.render import as_bytes
+from lodpipe.geometry.render import as_bytes, finished
 from lodpipe.geometry.sheet import contact_sheet
+from lodpipe.geometry.slip import Slip, texture_slip
 from lodpipe.geometry.texture import U8, Textures
-from lodpipe.geometry.visible import Sight
+from lodpipe.geometry.visible import Sight, shrunk
 
 Progress = Callable[[float, float], None]
 
@@ -37,13 +38,18 @@ class Comparison:
     visual: VisualFigures
     error: ErrorFigures | None
     """Distances in % of a's bounding-box diagonal."""
+    texture: Slip | None
+    by_size: tuple[dict[str, float | int | None], ...]
+    """The pictures shrunk: `size`, `luminance_rms`, `psnr`, `ssim`."""
     reasons: Mapping[str, str]
 
     def data(self) -> dict[str, Any]:
         """As plain data, a reason beside each figure that does not exist."""
         error = None if self.error is None else {"unit": "percent_of_diagonal", **asdict(self.error)}
         reasons = {f"{name}_reason": reason for name, reason in self.reasons.items()}
-        return {"visual": self.visual.data(), "error": error, **reasons}
+        texture = None if self.texture is None else {"unit": "percent_of_diagonal", **asdict(self.texture)}
+        sizes = list(self.by_size)
+        return {"visual": self.visual.data(), "error": error, "texture": texture, "by_size": sizes, **reasons}
 
 
 def galleries(
@@ -61,11 +67,37 @@ def compare_models(
 ) -> Comparison:
     """How different `b` is from `a`, in pictures and in distance."""
     visual = compare_pictures(a, b, progress)
+    sizes = tuple(_shrunk_figures(a, b, size) for size in _sizes(a.setup.size))
     soups = a.model.soup, b.model.soup
     if not all(len(soup.faces) for soup in soups):
-        return Comparison(visual, None, {"error": "a model without triangles has no distance"})
+        nothing = "a model without triangles has no distance"
+        return Comparison(visual, None, None, sizes, {"error": nothing, "texture": nothing})
     error = distance_between(*soups, samples=samples, seed=seed, threads=a.threads)
-    return Comparison(visual, error, {})
+    slip = texture_slip(a.model, b.model, samples, seed)
+    if isinstance(slip, str):
+        return Comparison(visual, error, None, sizes, {"texture": slip})
+    return Comparison(visual, error, slip, sizes, {})
+
+
+def _sizes(size: int) -> list[int]:
+    """The set-up's size, and what halving makes of it down to 32 pixels."""
+    return [size >> step for step in range(8) if step == 0 or size >> step >= 32]
+
+
+def _shrunk_figures(a: Gallery, b: Gallery, size: int) -> dict[str, float | int | None]:
+    """Figures of the pictures as they look from farther away, `size` pixels high."""
+
+    def work(view: int) -> Sums:
+        pair = [shrunk(gallery.shot(view).colours, size) for gallery in (a, b)]
+        shown = (pair[0][..., 3] > 0) | (pair[1][..., 3] > 0)
+        background, linear = a.setup.background(view), a.setup.lighting.linear
+        x, y = (finished(colours, background, linear) for colours in pair)
+        return difference(x, y, shown, scales=False)
+
+    sums = Sums()
+    for part in in_threads(work, a.setup.views, a.threads):
+        sums += part
+    return {"size": size, "luminance_rms": sums.luminance_rms, "psnr": sums.psnr, "ssim": _mean(sums.ssim)}
 
 
 def pictures(a: Gallery, b: Gallery) -> Iterator[tuple[str, U8]]:

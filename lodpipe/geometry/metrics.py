@@ -74,10 +74,10 @@ class Sums:
         return self.angle / self.both if self.both else None
 
 
-def difference(a: F32, b: F32, shown: Bool, *, structure: bool = True, flip: bool = False) -> Sums:
+def difference(a: F32, b: F32, shown: Bool, *, scales: bool = True, flip: bool = False) -> Sums:
     """What the pictures `a` and `b` (H, W, 3) differ by; `shown` (H, W): what either model covers.
 
-    `structure`: SSIM and MS-SSIM as well; `flip`: FLIP as well, which takes twenty times as long as all the rest.
+    `scales`: MS-SSIM as well; `flip`: FLIP as well, which takes twenty times as long as all the rest.
     """
     sums = Sums(pixels=shown.size, shown=int(np.count_nonzero(shown)))
     if not sums.shown:
@@ -85,14 +85,14 @@ def difference(a: F32, b: F32, shown: Bool, *, structure: bool = True, flip: boo
     box = crop_box(shown)
     a, b, shown = a[box], b[box], shown[box]
     if np.array_equal(a, b):
-        sums.ssim, sums.ms_ssim, sums.flip = [1.0] * structure, [1.0] * structure, [0.0] * flip
+        sums.ssim, sums.ms_ssim, sums.flip = [1.0], [1.0] * scales, [0.0] * flip
         return sums
     luma_a, luma_b = a @ LUMA, b @ LUMA
     sums.luminance = float(np.square(luma_a - luma_b, dtype=np.float64).sum())
     sums.colour = float(np.square((a - b)[shown], dtype=np.float64).sum()) / 3
-    if structure and min(shown.shape) >= SMALLEST:
+    if min(shown.shape) >= SMALLEST:
         sums.ssim = [float(ssim_maps(luma_a, luma_b)[0][shown].mean())]
-        sums.ms_ssim = [ms_ssim(luma_a, luma_b, shown)]
+        sums.ms_ssim = [ms_ssim(luma_a, luma_b, shown)] * scales
     if flip:
         sums.flip = [float(flip_map(a, b)[shown].mean())]
     return sums

@@ -76,7 +76,7 @@ class Sight:
         def part(view: int) -> float:
             background, linear = self.source.setup.background(view), self.source.setup.lighting.linear
             shots = [gallery.shot(view, size).colours for gallery in (self.source, other)]
-            if shots[0] is shots[1] or np.array_equal(*shots):
+            if shots[0] is shots[1] or np.array_equal(shots[0], shots[1]):
                 return 0.0
             pair = [phases(colours, height) for colours in shots]
             covered = (pair[0][::2, ::2, 3] > 0) | (pair[1][::2, ::2, 3] > 0)

@@ -62,7 +62,15 @@ def comparison_text(data: dict[str, Any], style: Style) -> list[str]:
         ]
     else:
         rows.append(("distance", "–", data["error_reason"]))
+    slip = data["texture"]
+    if slip is not None:
+        kept = f"mean, where UVs correspond ({100 * slip['corresponding']:.0f} % of the surface)"
+        rows.append(("texture slips by", f"{number(slip['mean'])} %", kept))
+    else:
+        rows.append(("texture slips by", "–", clean(data["texture_reason"])))
     lines += table(("figure", ">B against A", f"over {visual['views']} views of {visual['size']} pixels"), rows)
+    head = (">size on screen", ">luminance RMS", ">PSNR", ">SSIM")
+    lines += ["", *table(head, [_row(entry) for entry in data["by_size"]]), ""]
     lines += [style("  note: ", "dim") + f"{name}: {clean(reason)}" for name, reason in _reasons(visual)]
     if data.get("files"):
         lines.append(f"  {len(data['files'])} pictures: {clean(data['files'][-1])} shows them all")
@@ -82,10 +90,18 @@ def _verdict(visual: dict[str, Any], style: Style) -> str:
     return "  " + style("very different", "red")
 
 
+def _row(entry: dict[str, Any]) -> tuple[str, str, str, str]:
+    """One line of the table of sizes."""
+    psnr = "the same" if entry["psnr"] is None else f"{entry['psnr']:.1f} dB"
+    return f"{entry['size']} px", number(entry["luminance_rms"]), psnr, _with(entry, "ssim")
+
+
 def _unseen(visual: dict[str, Any]) -> tuple[str, str]:
     height = visual["unseen_height"]
     if height is None:
         return "–", clean(visual.get("unseen_height_reason", ""))
+    if height == 0:
+        return "0 px", "a difference is seen at every size"
     share = f"{'more than ' if 'unseen_height_reason' in visual else ''}{100 * min(height / SCREEN, 1):.3g} %"
     return f"{height:.0f} px", f"{share} of the height of a screen of {SCREEN}: smaller, nobody can tell"
 

@@ -37,6 +37,13 @@ def test_a_model_and_itself(setup):
     assert (figures["error"]["mean"], figures["error"]["max"]) == (0.0, 0.0)
 
 
+def test_from_farther_away_less_is_seen():
+    found = compared(ball(divisions=5), ball(divisions=2), dataclasses.replace(SMALL, size=128)).by_size
+    assert [entry["size"] for entry in found] == [128, 64, 32]
+    assert (np.diff([entry["psnr"] for entry in found]) > 0).all()
+    assert (np.diff([entry["ssim"] for entry in found]) > 0).all()
+
+
 def test_a_smaller_ball_covers_its_share():
     figures = compared(ball(divisions=5), ball(0.8, 5), dataclasses.replace(SMALL, size=200)).visual
     assert figures.silhouette_iou == pytest.approx(0.64, abs=0.005)
