@@ -20,7 +20,7 @@ CXX_SOURCES := $(wildcard lodpipe/kernel/src/* lodpipe/kernel/src/*/*) lodpipe/k
 SITE = $(shell $(PY) -c 'import sysconfig; print(sysconfig.get_path("platlib"))')
 SANITIZE_BUILD := build/sanitize
 
-.PHONY: help demo demo-watch soak test test-all test-sanitize lint format stubs bench all setup kernel clean distclean
+.PHONY: help demo demo-watch soak test test-all test-sanitize lint format stubs bench skeletons all setup kernel clean distclean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 16
@@ -56,6 +56,9 @@ bench: $(NATIVE)  ## time and quality beside the peers; ARGS go to tests/benchma
 
 soak: $(NATIVE)  ## the daemon's figures: 1,000 assets, 200 kills, 30 minutes of everything; ARGS='soak --seconds 300'
 	@$(PY) tests/benchmarks/daemon.py $(ARGS)
+
+skeletons: $(NATIVE) $(SAMPLES)  ## skeletons, segments and extreme levels as pictures and tables, in out/skeletons
+	@$(PY) docs/make_skeletons.py -o out/skeletons $(ARGS)
 
 all: lint test-all demo  ## lint, all tests, the demo
 

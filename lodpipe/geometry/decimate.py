@@ -376,7 +376,15 @@ class _Joined:
     ) -> dict[int, kernel.Level]:
         """Those of the levels that the skeleton makes better (see `lodpipe.geometry.extreme`), by target."""
         quadric = options if isinstance(options, QuadricOptions) else QuadricOptions(keep_last=options.keep_last)
-        quadric = replace(quadric, attribute_cost=False, record=False, follow=False, chart_column=self.chart_column)
+        quadric = replace(
+            quadric,
+            attribute_cost=False,
+            record=False,
+            follow=False,
+            keep_topology=True,
+            may_relax=False,
+            chart_column=self.chart_column,
+        )
 
         def run(factors: F64, locked: Any, targets: list[int]) -> Sequence[kernel.Level]:
             own = factors if self.importance is None else factors * self.importance

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lodpipe.core.mesh import F64, I32
 from lodpipe.geometry.camera import views
+from lodpipe.geometry.topology import components
 from lodpipe.kernel import Level
 
 FULL, NONE = 20.0, 60.0
@@ -119,6 +120,7 @@ class _Judge:
         self.origins = (across + 3 * directions[:, None, None]).reshape(-1, 3).astype(np.float32)
         self.along = np.repeat(-directions, SIZE * SIZE, axis=0).astype(np.float32)
         self.seen = self._silhouettes(points, faces)
+        self.pieces = _pieces(faces)
 
     def placed(self, positions: F64) -> F64:
         return np.asarray((positions - self.centre) / self.scale)
@@ -147,8 +149,8 @@ class _Judge:
         found = [(base, self.survivors(first), ways[0])]
         most = max(target, len(ways[0].faces))
         for way in ways:
-            if len(way.faces) > most:
-                continue
+            if len(way.faces) > most or (way is not ways[0] and _pieces(way.faces) > self.pieces):
+                continue  # a tip that has lost its limb is no limb
             points = self.placed(way.positions)
             fitted = self._fitted(points, way.faces)
             tries = [fitted, (points + fitted) / 2] if way is ways[0] else [points, fitted, (points + fitted) / 2]
@@ -206,6 +208,12 @@ class _Judge:
                 if far > 2 * NEAR * LOOSE:
                     points[vertex] = tip + step * (2 * NEAR * LOOSE / far)
         return points if np.isfinite(points).all() and np.abs(points).max() < 2 else start
+
+
+def _pieces(faces: I32) -> int:
+    """Connected components."""
+    used, corners = np.unique(faces, return_inverse=True)
+    return len(np.unique(components(corners.reshape(-1, 3).astype(np.int32), len(used))))
 
 
 def _add(system: F64, right: F64, corners: I32, weights: F64, targets: F64) -> None:
