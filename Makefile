@@ -18,7 +18,8 @@ BROWSER := $(VENV)/browser.stamp
 SAMPLES := sample_assets/made.stamp
 CXX_SOURCES := $(wildcard lodpipe/kernel/src/* lodpipe/kernel/src/*/*) lodpipe/kernel/CMakeLists.txt
 SITE = $(shell $(PY) -c 'import sysconfig; print(sysconfig.get_path("platlib"))')
-SANITIZE_BUILD := build/sanitize
+SANITIZE_BUILD = build/sanitize-$(SANITIZE)
+COMMA := ,
 
 .PHONY: help demo demo-watch soak test test-all test-sanitize lint format stubs bench skeletons all setup kernel clean distclean
 
@@ -64,7 +65,7 @@ all: lint test-all demo  ## lint, all tests, the demo
 
 setup: $(NATIVE)  ## the environment alone, kernel included
 
-kernel:  ## compile what changed in the kernel; SANITIZE=1: with the address and undefined-behaviour sanitizers, aside
+kernel:  ## compile what changed in the kernel; SANITIZE=address or thread: with sanitizers, aside
 ifdef SANITIZE
 kernel: $(SANITIZE_BUILD)/build.ninja
 	@$(VENV)/bin/cmake --build $(SANITIZE_BUILD) -- --quiet
@@ -73,10 +74,11 @@ kernel: $(READY)
 	@$(compile)
 endif
 
-test-sanitize:  ## the kernel's tests on the sanitizer build
-	@$(MAKE) kernel SANITIZE=1
+test-sanitize: SANITIZE := $(or $(SANITIZE),address)
+test-sanitize:  ## the kernel's tests with the address and undefined-behaviour sanitizers; SANITIZE=thread: for races
+	@$(MAKE) kernel SANITIZE=$(SANITIZE)
 	@ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
-	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
+	LD_PRELOAD="$$($(CXX) -print-file-name=lib$(if $(filter thread,$(SANITIZE)),tsan,asan).so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	LODPIPE_TEST_KERNEL=$$(echo $(SANITIZE_BUILD)/_native.*.so) $(PY) -m pytest --capture=sys tests/kernel $(ARGS)
 
 clean:  ## remove what was built and written, not the environment
@@ -101,7 +103,7 @@ $(NATIVE): $(READY) $(CXX_SOURCES)
 
 $(SANITIZE_BUILD)/build.ninja: $(READY) lodpipe/kernel/CMakeLists.txt
 	@$(VENV)/bin/cmake -S lodpipe/kernel -B $(SANITIZE_BUILD) -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(VENV))/bin/ninja \
-		-DCMAKE_BUILD_TYPE=RelWithDebInfo -DLODPIPE_SANITIZE=ON -DPython_EXECUTABLE=$(abspath $(PY)) \
+		-DCMAKE_BUILD_TYPE=RelWithDebInfo -DLODPIPE_SANITIZE=$(SANITIZE:address=address$(COMMA)undefined) -DPython_EXECUTABLE=$(abspath $(PY)) \
 		-Dnanobind_DIR=$$($(PY) -m nanobind --cmake_dir) >/dev/null
 
 $(SAMPLES): $(wildcard sample_assets/*.py) | $(NATIVE)

@@ -169,7 +169,10 @@ def decimate(
     arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
     if options.chart_column is not None and not 0 <= options.chart_column < arrays[3].shape[1] - 1:
         raise InvalidMesh(f"chart_column {options.chart_column} needs two columns from there on")
-    given = _native.decimate(*arrays, goals, progress or (lambda done, total: True), _options(options, threads))
+    try:
+        given = _native.decimate(*arrays, goals, progress or (lambda done, total: True), _options(options, threads))
+    except ValueError as error:  # more pairs than there are numbers for
+        raise InvalidMesh(str(error)) from None
     levels = [_level(data) for data in given["levels"]]
     record = _record(given["record"], arrays[3].shape[1]) if options.record else None
     return Decimation(levels, record)

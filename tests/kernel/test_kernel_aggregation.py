@@ -26,6 +26,16 @@ def test_cubes_become_one_slab(keep_topology):
     assert components(alone.faces) > 50
 
 
+def test_every_vertex_may_be_linked_to_every_other():
+    """41,000 links among 288 vertices: lists of hundreds of corners, which once took 15 seconds."""
+    positions, faces = cubes(6)
+    assert len(positions) == 288
+    levels = decimate(positions, faces, [200, 40, 0], options(pair_distance=100.0)).levels
+    assert [level.stop for level in levels] == ["triangles"] * 3
+    assert [len(level.faces) <= level.target for level in levels] == [True] * 3
+    assert len(levels[0].faces) > 190 and len(levels[2].faces) == 0
+
+
 @pytest.mark.parametrize("placement", PLACEMENTS)
 def test_links_alone_are_progress(placement):
     """Two balls that nearly touch grow together before a single triangle of them is gone."""

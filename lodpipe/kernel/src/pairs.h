@@ -3,10 +3,13 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <stdexcept>
 
 #include "mesh_state.h"
 
 namespace lodpipe {
+
+constexpr size_t kMostFaces = size_t{1} << 29;  // a corner's number has 31 bits, two of which say which corner
 
 // Appends a link for each pair closer than `distance` (unit box). A hashed grid of cells of that size: expected time is
 // linear in vertices and pairs.
@@ -48,6 +51,7 @@ inline void add_links(float distance, State& s) {
             const Vec3 d = s.vertices[u].p - p;
             if (u <= v || !used[u] || dot(d, d) >= distance * distance) continue;
             if (std::binary_search(edges.begin(), edges.end(), edge(v, u))) continue;
+            if (s.faces.size() >= kMostFaces) throw std::length_error("pair_distance finds more than 500 million pairs");
             s.faces.push_back({{v, u, kNone}, kNone});
           }
         }
