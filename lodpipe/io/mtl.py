@@ -135,7 +135,7 @@ class Library:
         if d := _floats(said.get("d", "").removeprefix("-halo"), 1):
             alpha = d[0]
         elif tr := _floats(said.get("tr", ""), 1):
-            alpha = 1.0 - tr[0]
+            alpha = 1.0 - tr[0] or 1.0  # exporters that mean opacity write Tr 1; nobody makes what cannot be seen
         alpha = min(max(alpha, 0.0), 1.0)
         factor = [min(max(c, 0.0), 1.0) for c in colour] + [alpha]
         if factor != [1.0] * 4:

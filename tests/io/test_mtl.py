@@ -32,6 +32,7 @@ def test_figures(tmp_path: Path) -> None:
     assert material.gltf["emissiveFactor"] == [1, 0, 0]
     assert material.gltf["extras"] == {"mtl": {"Ka": "1 1 1", "illum": "2"}}
     assert read(tmp_path, "Tr 0.25").materials[0].base_color_factor == (1, 1, 1, 0.75)
+    assert read(tmp_path, "Tr 1").materials[0].alpha_mode == "OPAQUE"  # never invisible
 
 
 @pytest.mark.parametrize(
