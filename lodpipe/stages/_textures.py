@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from lodpipe import io
 from lodpipe.core.asset import Asset, Lod
-from lodpipe.core.errors import AssetError
+from lodpipe.core.errors import AssetError, LimitError
 from lodpipe.core.material import Image, Material, MaterialSet, renumbered
 from lodpipe.geometry.bake import Baked
 from lodpipe.geometry.slots import Path, is_colour, is_normal, map_name, slots
@@ -43,7 +43,7 @@ def decoded(asset: Asset, context: Context) -> dict[int, U8]:
     for row in sorted(rows):
         try:
             pixels[row] = io.decode_image(asset.images[row])
-        except AssetError as error:
+        except (AssetError, LimitError) as error:
             context.warn(f"{error}; its place in baked textures holds the factors alone")
     return pixels
 

@@ -37,6 +37,8 @@ def export(asset: Asset, params: ExportParams, context: Context) -> Asset:
     total = len(levels) * len(formats) + params.combined
     done = 0
     for number, level in enumerate(levels):
+        if level.own is None and _lost_uvs(asset, level):
+            context.warn(f"level {number} has no UVs for its textures: `bake` belongs after `decimate: {{uvs: free}}`")
         folder = context.output / f"LOD{number}"
         folder.mkdir(parents=True, exist_ok=True)
         for kind in formats:
@@ -54,6 +56,12 @@ def export(asset: Asset, params: ExportParams, context: Context) -> Asset:
         _note(context, -1, written)
         context.progress(total, total)
     return asset
+
+
+def _lost_uvs(asset: Asset, level: Lod) -> bool:
+    """Whether a mesh of the level lacks the UVs that the source's has."""
+    pairs = zip(asset.meshes, level.meshes, strict=True)
+    return any("TEXCOORD_0" in old.attributes and "TEXCOORD_0" not in new.attributes for old, new in pairs)
 
 
 def _note(context: Context, number: int, written: list[Path]) -> None:

@@ -160,7 +160,7 @@ def test_the_distance_is_that_of_the_scene():
     assert {m.name: m.value for m in context.measurements}["lod1.missed"] < 1
 
 
-def test_levels_decimated_without_uvs_get_new_ones():
+def test_levels_decimated_without_uvs_get_new_ones(tmp_path):
     from lodpipe.core.asset import Target
     from lodpipe.stages.decimate import DecimateParams, decimate
 
@@ -168,6 +168,9 @@ def test_levels_decimated_without_uvs_get_new_ones():
     free = decimate(asset, DecimateParams(uvs="free"), Context(lods=(Target(ratio=0.1),)))
     assert free.lods[0].meshes is asset.meshes
     assert "TEXCOORD_0" not in free.lods[1].meshes[0].attributes
+    context = Context(output=tmp_path)
+    export(free, ExportParams(), context)
+    assert context.warnings == ["level 1 has no UVs for its textures: `bake` belongs after `decimate: {uvs: free}`"]
     baked, _ = run(free, size=128)
     (figures,) = uv_defects(baked.lods[1].meshes[0])
     assert (figures.missing_faces, figures.overlap_percent) == (0, 0)
