@@ -18,14 +18,16 @@ from lodpipe.core.asset import Asset, Lod, Target
 from lodpipe.core.errors import Cancelled, InvalidMesh
 from lodpipe.core.mesh import F32, F64, I32, Mesh
 from lodpipe.core.skeleton import Importance, PartShare
+from lodpipe.geometry.content import seam_contrasts, slip_price, small
 from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.extreme import Guide, extreme_levels
-from lodpipe.geometry.flatten import Bool, flatten, largest_placement
+from lodpipe.geometry.flatten import Bool, Soup, flatten, largest_placement
 from lodpipe.geometry.parts import hold_shares
 from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.progressive import rebuild
 from lodpipe.geometry.shading import with_normals
 from lodpipe.geometry.similarity import decimate_joined
+from lodpipe.geometry.surface import Model
 from lodpipe.geometry.switch import SCREEN_HEIGHT
 from lodpipe.geometry.texture import U8, Textures
 from lodpipe.geometry.visibility import vertex_visibility
@@ -59,8 +61,12 @@ class AttributeWeights:
     color: float = 0.1
 
 
-VISUAL_WEIGHTS = AttributeWeights(uv=0.0)
-"""The visual metric's: where a texture slips is left to the fit."""
+LIGHT = 0.19
+"""A colour off by 1 (in all three channels) is priced like a surface that is off by so much of the level's edge."""
+SLIP = 0.1
+"""How far textures and seams are expected to slip, in edges of the level."""
+PLAIN_SEAM = 0.01
+"""Weight that holds a seam across which nothing changes: its chart has an end, and beyond it lies another."""
 
 
 HIDDEN = 0.05
@@ -81,7 +87,8 @@ def decimate(source: Mesh | Asset, target: int | float | Target, **settings: Any
     Raises InvalidMesh for a target outside its range.
     """
     goal = _as_target(target)
-    outside = {name: settings.pop(name) for name in ("weights", "metric", "unseen", "threads") if name in settings}
+    beside = ("weights", "metric", "pixels", "unseen", "threads")
+    outside = {name: settings.pop(name) for name in beside if name in settings}
     options = QuadricOptions(**settings)
     if isinstance(source, Mesh):
         asset = Asset(name=source.name, meshes=(source,))
@@ -106,27 +113,31 @@ def decimate_asset(
     """All levels of an asset: level 0, the source, and one for each target, in the targets' order.
 
     Meshes with a `keep_reason` pass as they are; their triangles count against the target. `pixels` holds the decoded
-    images by their row, for SimilarityOptions alone. `unseen` (`Sight.of`) judges targets in pixels, and has to be
+    images by their row, for the metric `visual` and for SimilarityOptions; factor colours stand in for the rest. `unseen` (`Sight.of`) judges targets in pixels, and has to be
     given for them if the asset has textures. Raises InvalidMesh for a target out of range, Cancelled when `cancelled`
     says so.
     """
     options = options or QuadricOptions()
     source = Lod(meshes=asset.meshes)
-    if metric == "visual" and isinstance(options, QuadricOptions):
-        options, weights = _steered(options, weights)
+    visual = metric == "visual" and isinstance(options, QuadricOptions)
+    if visual:
         asset = replace(asset, meshes=tuple(m if m.keep_reason else with_normals(m) for m in asset.meshes))
     joined = _Joined.of(asset)
-    if metric == "visual":
+    if visual:
         joined = joined.seen(vertex_visibility(asset, threads))
     fixed = source.triangles - len(joined.faces)
     counts = [_count(goal, source.triangles) for goal in targets]
     wanted = sorted({max(c - fixed, 0) for c in counts if c is not None}, reverse=True)
     by_error = any(c is None for c in counts)
-    fits = (  # half-edge collapses invent no values
-        metric == "visual" and isinstance(options, QuadricOptions) and options.placement != "endpoint"
-    )
+    fits = visual and options.placement != "endpoint"  # half-edge collapses invent no values
     finest = [c for c in counts if c]
     goals = [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted
+    seam_scale = None
+    if visual:
+        content = _Content.of(asset, joined, pixels or {}, min(finest, default=1), threads)
+        seam_scale = content.seam_scale / np.float32(max(options.seam_weight, 1e-6))
+        if not options.attribute_cost:
+            options, weights = replace(options, attribute_cost=True), content.weights
 
     def step(done: int, total: int) -> bool:
         progress(done, total)
@@ -157,6 +168,7 @@ def decimate_asset(
                 column_weights=column_weights,
                 importance=factors,
                 locked=joined.pinned,
+                seam_scale=seam_scale,
                 threads=threads,
                 progress=step,
             )
@@ -188,13 +200,31 @@ def decimate_asset(
     return tuple(lods)
 
 
-def _steered(
-    options: QuadricOptions, weights: AttributeWeights | None
-) -> tuple[QuadricOptions, AttributeWeights | None]:
-    """The options of the visual metric: normals and colours steer, unless the caller said what does."""
-    if options.attribute_cost:
-        return options, weights
-    return replace(options, attribute_cost=True), VISUAL_WEIGHTS
+@dataclass(frozen=True, eq=False)
+class _Content:
+    """What the visual metric takes from textures and colours."""
+
+    weights: AttributeWeights
+    seam_scale: F32
+    """(F, 3): the weight that holds each edge, if it is a seam."""
+
+    @staticmethod
+    def of(asset: Asset, joined: _Joined, pixels: Mapping[int, U8], finest: int, threads: int) -> _Content:
+        """Prices in the unit of the others: a squared difference of colour is worth LIGHT² · edge², as for COLOR_0.
+
+        A seam that moves by a length d shows the wrong colour in a strip d wide: contrast² · |e| · d. For the d about
+        which it is decided, a tenth of the level's edge, that is the plane weight below times |e|² · d².
+        """
+        model = Model(asset, textures=small(pixels.get), threads=threads)
+        corners = model.corners(np.arange(len(model.faces), dtype=np.int32)).astype(np.float64)
+        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+        edge = float(np.sqrt(areas.sum() / max(finest, 1)))
+        uv = LIGHT * edge * float(np.sqrt(slip_price(model, SLIP * edge)))
+        contrast = seam_contrasts(model, model.soup.wedges)
+        length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        held = LIGHT**2 / SLIP * contrast * edge / np.maximum(length, 1e-9 * edge + 1e-300)
+        scale = joined.from_soup(asset, model.soup, np.maximum(held, PLAIN_SEAM).astype(np.float32))
+        return _Content(AttributeWeights(uv=uv), scale)
 
 
 def _as_target(target: int | float | Target) -> Target:
@@ -325,6 +355,20 @@ class _Joined:
                 worth = weights.uv * float(np.sqrt(areas[has].sum() / flat[has].sum())) if has.any() else 0.0
             out += [worth] * width
         return self.values, out
+
+    def from_soup(self, asset: Asset, soup: Soup, rows: F32) -> F32:
+        """Rows for the joined faces, from rows for the soup's: of the first placement of each mesh; 0 for none."""
+        out = np.zeros((len(self.faces), *rows.shape[1:]), np.float32)
+        first = {id(part.mesh): part for part in reversed(soup.parts)}
+        for number, index in enumerate(self.used):
+            part = first.get(id(asset.meshes[index]))
+            if part is None:
+                continue
+            own = rows[part.first_face : part.first_face + len(part.mesh.faces)]
+            if part.mirrored:  # corners 2, 1, 0: the edges 0 → 1, 1 → 2, 2 → 0 are those from 1, 0, 2
+                own = own[:, [1, 0, 2]]
+            out[self.face_start[number] : self.face_start[number + 1]] = own
+        return out
 
     def seen(self, shares: list[F32]) -> _Joined:
         """The same with vertices weighted by the share of them that is seen from outside."""

@@ -144,6 +144,7 @@ def decimate(
     column_weights: Sequence[float] = (),
     importance: F32 | None = None,
     locked: NDArray[np.bool_] | None = None,
+    seam_scale: F32 | None = None,
     threads: int = 0,
     progress: Callable[[int, int], bool] | None = None,
 ) -> Decimation:
@@ -158,6 +159,7 @@ def decimate(
     column_weights  K numbers ≥ 0: object units that a unit of the attribute is worth; 0: carried, does not steer
     importance      (V,) float32 > 0, multiplies the vertex's quadric
     locked          (V,) bool: neither moved nor removed
+    seam_scale      (F, 3) float32 ≥ 0, multiplies `seam_weight` at the edge from corner k to k + 1
     threads         0: all cores; the result does not depend on it
     progress        called with (triangles removed, triangles to remove); False stops
 
@@ -166,7 +168,7 @@ def decimate(
     """
     options = options or QuadricOptions()
     goals = _goals(targets)
-    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
+    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked, seam_scale)
     if options.chart_column is not None and not 0 <= options.chart_column < arrays[3].shape[1] - 1:
         raise InvalidMesh(f"chart_column {options.chart_column} needs two columns from there on")
     try:
@@ -248,12 +250,13 @@ def edge_costs(
     column_weights: Sequence[float] = (),
     importance: F32 | None = None,
     locked: NDArray[np.bool_] | None = None,
+    seam_scale: F32 | None = None,
 ) -> EdgeCosts:
     """What collapsing each edge of the mesh as it is would cost, and where the merged vertex would lie.
 
     Parameters as for `decimate`. Raises InvalidMesh for arrays that do not fit together.
     """
-    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
+    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked, seam_scale)
     return EdgeCosts(**_native.edge_costs(*arrays, _options(options or QuadricOptions(), 1)))
 
 
@@ -345,7 +348,8 @@ def _checked(
     column_weights: Sequence[float],
     importance: F32 | None,
     locked: NDArray[np.bool_] | None,
-) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
+    seam_scale: F32 | None,
+) -> tuple[Any, Any, Any, Any, Any, Any, Any, Any]:
     """The arrays as the native functions take them."""
     positions = _table(positions, np.float64, 3, "positions")
     faces = _table(faces, np.int32, 3, "faces")
@@ -382,6 +386,7 @@ def _checked(
         weights,
         _column(importance, np.float32, len(positions), "importance"),
         _column(locked, np.uint8, len(positions), "locked"),
+        _seam_scale(seam_scale, len(faces)),
     )
 
 
@@ -467,6 +472,15 @@ def _column(array: Any, dtype: Any, rows: int, name: str) -> Any:
         raise InvalidMesh(f"{name} must have {rows} values (got the shape {given.shape})")
     if name == "importance" and not (np.isfinite(given).all() and (given > 0).all()):
         raise InvalidMesh("importance must be finite and positive")
+    return given
+
+
+def _seam_scale(array: Any, faces: int) -> Any:
+    if array is None:
+        return None
+    given = _table(array, np.float32, 3, "seam_scale")
+    if len(given) != faces or not (np.isfinite(given).all() and (given >= 0).all()):
+        raise InvalidMesh(f"seam_scale must have {faces} rows of finite numbers that are not negative")
     return given
 
 

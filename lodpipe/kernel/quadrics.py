@@ -9,12 +9,12 @@ G99    Garland 1999, "Quadric-based polygonal surface simplification" (thesis; a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from lodpipe.core.mesh import F64, I32
+from lodpipe.core.mesh import F32, F64, I32
 from lodpipe.kernel import QuadricOptions
 
 DAMPING = 3e-6
@@ -117,7 +117,12 @@ def quality_of(corners: F64) -> float:
 
 
 def plane_quadrics(
-    positions: F64, faces: I32, options: QuadricOptions | None = None, *, wedges: I32 | None = None
+    positions: F64,
+    faces: I32,
+    options: QuadricOptions | None = None,
+    *,
+    wedges: I32 | None = None,
+    seam_scale: F32 | None = None,
 ) -> list[Quadric]:
     """Of each vertex: the planes of its faces, and those that hold borders, seams and creases.
 
@@ -127,6 +132,7 @@ def plane_quadrics(
     """
     options = options or QuadricOptions()
     wedges = faces if wedges is None else wedges
+    scale = np.ones(faces.shape) if seam_scale is None else seam_scale
     live = solid_faces(faces)
     total = [Quadric.zero() for _ in positions]
     for f in live:
@@ -136,7 +142,9 @@ def plane_quadrics(
             if area_of(corners) > 0:
                 total[faces[f, k]] += plane * _weight(corners, k, options)
     for (a, b), around in edges_of(faces, live).items():
-        weight = _discontinuity(positions, faces, wedges, (a, b), around, options)
+        first = next(k for k in range(3) if {faces[around[0], k], faces[around[0], (k + 1) % 3]} == {a, b})
+        held = replace(options, seam_weight=options.seam_weight * float(scale[around[0], first]))
+        weight = _discontinuity(positions, faces, wedges, (a, b), around, held)
         if not weight > 0:
             continue
         along = positions[b] - positions[a]

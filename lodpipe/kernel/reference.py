@@ -65,6 +65,7 @@ class State:
         values: F32 | None = None,
         column_weights: Sequence[float] = (),
         importance: F32 | None = None,
+        seam_scale: F32 | None = None,
         locked: NDArray[np.bool_] | None = None,
     ) -> None:
         self.options = options or QuadricOptions()
@@ -76,7 +77,7 @@ class State:
         self.p = (positions - self.center) / self.diagonal
         self.errors = np.zeros(len(positions))
         self.locked = np.zeros(len(positions), bool) if locked is None else locked.copy()
-        self.q = plane_quadrics(self.p, faces, self.options, wedges=self.wedges)
+        self.q = plane_quadrics(self.p, faces, self.options, wedges=self.wedges, seam_scale=seam_scale)
 
         worth = self.options.attribute_cost * np.asarray(column_weights, float) / self.diagonal
         self.steering, self.scale = np.flatnonzero(worth > 0), np.where(worth > 0, worth, 1.0)

@@ -108,7 +108,7 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
         asset = without_uvs(asset)
     similarity = _similarity(params)
     options = similarity or _quadric(asset, params)
-    pixels = _pixels(asset, context) if similarity else {}
+    pixels = _pixels(asset, context) if similarity or params.metric == "visual" else {}
     levels = decimate_asset(
         asset,
         context.lods,

@@ -150,7 +150,7 @@ def levels(source: Any, targets: list[int], settings: dict[str, Any]) -> tuple[l
     import numpy as np
 
     from lodpipe.core.asset import Asset, Target
-    from lodpipe.core.material import Material
+    from lodpipe.core.material import Image, Material
     from lodpipe.core.mesh import Mesh
     from lodpipe.geometry import decimate as ours
     from lodpipe.kernel import QuadricOptions
@@ -169,8 +169,9 @@ def levels(source: Any, targets: list[int], settings: dict[str, Any]) -> tuple[l
             pbr["baseColorTexture"] = {"index": number}
         cut = {"alphaMode": "MASK", "alphaCutoff": m.cutoff} if m.cutoff else {}
         materials.append(Material({"pbrMetallicRoughness": pbr, "doubleSided": m.double, **cut}))
+    blank = tuple(Image() for _ in images)
     document = {"textures": [{"source": i} for i in range(len(images))]}
-    asset = Asset(name="bench", meshes=(made,), materials=tuple(materials), document=document)
+    asset = Asset(name="bench", meshes=(made,), materials=tuple(materials), images=blank, document=document)
     own = dict(settings)
     metric = own.pop("metric", "quadric")
     fields = {name: own.pop(name) for name in list(own) if name in QuadricOptions.__dataclass_fields__}
@@ -178,7 +179,8 @@ def levels(source: Any, targets: list[int], settings: dict[str, Any]) -> tuple[l
         own["weights"] = ours.AttributeWeights(**own["weights"])
     goals = [Target(triangles=t) for t in targets]
     begin = time.process_time()
-    lods = ours.decimate_asset(asset, goals, QuadricOptions(**fields), metric=metric, threads=1, **own)
+    own |= {"metric": metric, "pixels": pixels, "threads": 1}
+    lods = ours.decimate_asset(asset, goals, QuadricOptions(**fields), **own)
     seconds = time.process_time() - begin
     out = []
     for lod in lods[1:]:

@@ -10,6 +10,7 @@ import pytest
 import lodpipe
 from lodpipe.core.asset import Asset, Target
 from lodpipe.core.errors import Cancelled, InvalidMesh
+from lodpipe.core.material import Material
 from lodpipe.core.mesh import Mesh, Primitive
 from lodpipe.geometry.decimate import AttributeWeights, _Joined, decimate, decimate_asset
 from lodpipe.geometry.distance import distance_between
@@ -361,6 +362,7 @@ def test_visual_keeps_attributes_materials_and_targets():
     ball = uv_sphere(32, 64, materials=2).mesh()
     beside = {"mesh": 1, "translation": [3, 0, 0], "scale": [1, -2, 1]}
     source = asset(ball, Mesh(*bumpy(3)), nodes=[{"mesh": 0}, beside])
+    source = dataclasses.replace(source, materials=(Material(), Material()))
     level = levels(source, 900, setting=None, metric="visual")[1]
     assert level.triangles in (899, 900)
     made = level.meshes[0]

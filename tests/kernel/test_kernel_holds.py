@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lodpipe.core.errors import InvalidMesh
 from lodpipe.geometry.progressive import rebuild
-from lodpipe.kernel import PLACEMENTS, decimate
+from lodpipe.kernel import PLACEMENTS, decimate, edge_costs, reference
 from meshes import bumpy, cubes, islands, torus, uv_sphere
 from options import options
 
@@ -104,3 +105,29 @@ def test_u_and_v_may_be_worth_different_things():
         arrays = {"wedges": ball.wedges, "values": ball.values[:, :2], "column_weights": weights}
         level = decimate(ball.positions, ball.faces, [60], options(chart_column=0), **arrays).levels[0]
         assert np.isfinite(level.values).all() and len(level.faces) <= 60
+
+
+def test_seams_are_held_by_their_scale():
+    """The seam of a ball: what holds it may differ from edge to edge, and 0 lets it go."""
+    ball = uv_sphere(12, 24)
+    arrays = {"wedges": ball.wedges, "values": ball.values, "column_weights": [0.0] * ball.values.shape[1]}
+    setting = options(attribute_cost=False, seam_weight=1.0)
+    none = edge_costs(ball.positions, ball.faces, options(attribute_cost=False, seam_weight=0.0), **arrays)
+    off = np.zeros(ball.faces.shape, np.float32)
+    freed = edge_costs(ball.positions, ball.faces, setting, seam_scale=off, **arrays)
+    np.testing.assert_array_equal(freed.cost, none.cost)
+    half = edge_costs(ball.positions, ball.faces, setting, seam_scale=off + np.float32(0.5), **arrays)
+    same = edge_costs(ball.positions, ball.faces, options(attribute_cost=False, seam_weight=0.5), **arrays)
+    np.testing.assert_array_equal(half.cost, same.cost)
+    rng = np.random.default_rng(0).random(ball.faces.shape).astype(np.float32)
+    edges = np.sort(np.stack([ball.faces, np.roll(ball.faces, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
+    _, number = np.unique(edges, axis=0, return_inverse=True)
+    mixed = rng.ravel()[np.unique(number, return_index=True)[1]][number].reshape(-1, 3)
+    fast = edge_costs(ball.positions, ball.faces, setting, seam_scale=mixed, **arrays)
+    slow = reference.edge_costs(ball.positions, ball.faces, setting, seam_scale=mixed, **arrays)
+    by_edge = {tuple(sorted(e)): c for e, c in zip(slow.edges.tolist(), slow.cost, strict=True)}
+    expected = [by_edge[tuple(sorted(e))] for e in fast.edges.tolist()]
+    np.testing.assert_allclose(fast.cost, expected, rtol=1e-3, atol=1e-7)
+    for bad in (off[:-1], off - 1, off * np.nan):
+        with pytest.raises(InvalidMesh, match="seam_scale"):
+            edge_costs(ball.positions, ball.faces, setting, seam_scale=bad, **arrays)

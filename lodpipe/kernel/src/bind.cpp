@@ -65,7 +65,8 @@ nb::dict record(lodpipe::Record& r, size_t columns) {
 
 lodpipe::Input input(const Table<double>& positions, const Table<int32_t>& faces, const Table<int32_t>& wedges,
                      const Table<float>& values, const Column<float>& column_weights,
-                     const std::optional<Column<float>>& importance, const std::optional<Column<uint8_t>>& locked) {
+                     const std::optional<Column<float>>& importance, const std::optional<Column<uint8_t>>& locked,
+                     const std::optional<Table<float>>& seam_scale) {
   return {positions.data(),
           static_cast<int>(positions.shape(0)),
           faces.data(),
@@ -77,14 +78,16 @@ lodpipe::Input input(const Table<double>& positions, const Table<int32_t>& faces
           column_weights.data(),
           importance ? importance->data() : nullptr,
           locked ? locked->data() : nullptr,
+          seam_scale ? seam_scale->data() : nullptr,
           {}};
 }
 
 nb::dict decimate(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedges, Table<float> values,
                   Column<float> column_weights, std::optional<Column<float>> importance,
-                  std::optional<Column<uint8_t>> locked, std::vector<int64_t> targets,
+                  std::optional<Column<uint8_t>> locked, std::optional<Table<float>> seam_scale,
+                  std::vector<int64_t> targets,
                   std::function<bool(int64_t, int64_t)> progress, const lodpipe::Options& options) {
-  lodpipe::Input in = input(positions, faces, wedges, values, column_weights, importance, locked);
+  lodpipe::Input in = input(positions, faces, wedges, values, column_weights, importance, locked, seam_scale);
   in.targets = std::move(targets);
   lodpipe::Result result;
   {
@@ -105,8 +108,9 @@ nb::dict decimate(Table<double> positions, Table<int32_t> faces, Table<int32_t> 
 
 nb::dict edge_costs(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedges, Table<float> values,
                     Column<float> column_weights, std::optional<Column<float>> importance,
-                    std::optional<Column<uint8_t>> locked, const lodpipe::Options& options) {
-  const lodpipe::Input in = input(positions, faces, wedges, values, column_weights, importance, locked);
+                    std::optional<Column<uint8_t>> locked, std::optional<Table<float>> seam_scale,
+                    const lodpipe::Options& options) {
+  const lodpipe::Input in = input(positions, faces, wedges, values, column_weights, importance, locked, seam_scale);
   lodpipe::EdgeCosts costs = lodpipe::edge_costs(in, options);
   nb::dict out;
   out["edges"] = give(costs.edges, 2);
@@ -353,10 +357,10 @@ NB_MODULE(_native, m) {
       .def_rw("threads", &FitOptions::threads);
   m.def("decimate", &decimate, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(),
         "values"_a.noconvert(), "column_weights"_a.noconvert(), "importance"_a.noconvert().none(),
-        "locked"_a.noconvert().none(), "targets"_a, "progress"_a, "options"_a);
+        "locked"_a.noconvert().none(), "seam_scale"_a.noconvert().none(), "targets"_a, "progress"_a, "options"_a);
   m.def("edge_costs", &edge_costs, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(),
         "values"_a.noconvert(), "column_weights"_a.noconvert(), "importance"_a.noconvert().none(),
-        "locked"_a.noconvert().none(), "options"_a);
+        "locked"_a.noconvert().none(), "seam_scale"_a.noconvert().none(), "options"_a);
   m.def("chart_labels", &chart_labels, "faces"_a.noconvert());
   m.def("join_pairs", &join_pairs, "pairs"_a.noconvert(), "nodes"_a);
   m.def("uv_overlaps", &uv_overlaps, "uv"_a.noconvert(), "chart"_a.noconvert(), "group"_a.noconvert(), "slack"_a,

@@ -42,6 +42,7 @@ struct Input {
   const float* column_weights; // columns; object units for each unit of the value; 0: carried only
   const float* importance;     // vertex_count or null
   const uint8_t* locked;       // vertex_count or null
+  const float* seam_scale;     // face_count × 3 or null: multiplies seam_weight at the edge from corner k to k + 1
   std::vector<int64_t> targets;  // triangles, descending
 };
 

@@ -241,7 +241,7 @@ class Surroundings {
       }
       const int32_t* w = s_.wedges[face_of(c)].w;
       const int k = slot_of(c), i = (k + 1) % 3, j = (k + 2) % 3;
-      ring_.push_back({f.v[i], f.v[j], w[k], w[i], w[j]});
+      ring_.push_back({f.v[i], f.v[j], w[k], w[i], w[j], f.source, k});
       if (w[k] != ring_[0].wedge) flags |= kSeveralWedges;
       leaving += mix(f.v[i], w[i]);
       entering += mix(f.v[j], w[j]);
@@ -255,6 +255,7 @@ class Surroundings {
  private:
   struct Spoke {
     int32_t next, previous, wedge, next_wedge, previous_wedge;
+    int32_t source, slot;  // face of the input, and which of its corners
   };
 
   static uint64_t mix(int32_t v, int32_t w) {
@@ -280,7 +281,7 @@ class Surroundings {
     for (size_t i = 0, j; i < edges_.size(); i = j) {
       for (j = i + 1; j < edges_.size() && edges_[j].first == edges_[i].first;) ++j;
       const int32_t other = edges_[i].first;
-      float weight = options_.seam_weight;
+      float weight = seam_weight(ring_[edges_[i].second], other);
       if (j - i == 1) weight = options_.boundary_weight;
       if (j - i == 2) {
         const Spoke &p = ring_[edges_[i].second], &q = ring_[edges_[i + 1].second];
@@ -296,9 +297,14 @@ class Surroundings {
 
   // Weight of the edge to `other`, between the faces of p and q.
   float discontinuity(const Vertex& a, const Spoke& p, const Spoke& q, int32_t other) const {
-    if (p.wedge != q.wedge || wedge_at(p, other) != wedge_at(q, other)) return options_.seam_weight;
+    if (p.wedge != q.wedge || wedge_at(p, other) != wedge_at(q, other)) return seam_weight(p, other);
     if (!(options_.crease_weight > 0)) return 0;
     return dot(normalized(normal(a, p)), normalized(normal(a, q))) < options_.crease_cos ? options_.crease_weight : 0;
+  }
+  float seam_weight(const Spoke& p, int32_t other) const {
+    if (!in_.seam_scale) return options_.seam_weight;
+    const int edge = p.next == other ? p.slot : (p.slot + 2) % 3;
+    return options_.seam_weight * in_.seam_scale[3 * static_cast<int64_t>(p.source) + edge];
   }
   static int32_t wedge_at(const Spoke& p, int32_t vertex) { return p.next == vertex ? p.next_wedge : p.previous_wedge; }
   Vec3 normal(const Vertex& a, const Spoke& p) const {

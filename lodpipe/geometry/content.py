@@ -1,0 +1,128 @@
+"""What a texture shows: how much a slip of it costs, and how much the two sides of a seam differ."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from lodpipe.core.mesh import F32, F64, I32
+from lodpipe.geometry.surface import Model, Spots
+from lodpipe.geometry.texture import U8, Textures
+
+SAMPLES = 12_000
+"""Points at which a slip is tried."""
+TEXELS = 512
+"""Textures are looked at in this size at most: a slip that counts is far longer than their texels."""
+
+
+def small(pixels: Callable[[int], U8 | None]) -> Textures:
+    """Textures of stored values (not of linear light), reduced to `TEXELS` along their longer side."""
+
+    def reduced(index: int) -> U8 | None:
+        image = pixels(index)
+        step = 1 if image is None else max(image.shape[:2]) // TEXELS
+        if image is None or step < 2:
+            return image
+        height, width = (max(size // step, 1) for size in image.shape[:2])
+        high, wide = image.shape[0] // height, image.shape[1] // width
+        blocks = image[: height * high, : width * wide].reshape(height, high, width, wide, -1)
+        result: U8 = np.rint(blocks.mean(axis=(1, 3), dtype=np.float32)).astype(np.uint8)
+        return result
+
+    return Textures(reduced, srgb=False)
+
+
+def slip_price(model: Model, slip: float) -> float:
+    """Mean squared difference of colour, per squared length, when the textures slip by about `slip` (in radii).
+
+    The mean over points spread by area, over two directions in the surface, and over red, green and blue (0…1). Seen
+    through a filter as wide as the slip, so that grain finer than it does not count. In a face smaller than the slip,
+    the slip is as long as half of the face.
+    """
+    every = model.corners(np.arange(len(model.faces), dtype=np.int32)).astype(np.float64)
+    area = np.linalg.norm(np.cross(every[:, 1] - every[:, 0], every[:, 2] - every[:, 0]), axis=1) / 2
+    total = np.cumsum(area)
+    if not len(total) or not total[-1] > 0:
+        return 0.0
+    i = np.arange(SAMPLES)
+    faces = np.searchsorted(total, (i + 0.5) * total[-1] / SAMPLES, side="right").clip(max=len(area) - 1)
+    start = _places(SAMPLES)
+    e1, e2 = every[faces, 1] - every[faces, 0], every[faces, 2] - every[faces, 0]
+    step = np.maximum(np.minimum(slip, 0.5 * np.sqrt(area[faces])), 1e-12)
+    along = e1 / np.maximum(np.linalg.norm(e1, axis=1, keepdims=True), 1e-300)
+    across = np.cross(np.cross(e1, e2), along)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    here = _colours(model, faces, start, step)
+    price = np.zeros(SAMPLES)
+    for direction in (along, across):
+        shift = _barycentric(e1, e2, direction * step[:, None])
+        # backwards where forwards leads out of the face
+        shift = np.where(((start + shift).min(axis=1) < 0)[:, None], -shift, shift)
+        price += ((_colours(model, faces, start + shift, step) - here) ** 2).mean(axis=1) / step**2 / 2
+    return float(price.mean())
+
+
+def seam_contrasts(model: Model, wedges: I32) -> F32:
+    """(F, 3) float32: mean squared difference of colour between the two sides of each edge (k → k + 1), 0…1.
+
+    0 along edges that are no seams (whose two faces have the same `wedges` (F, 3) at both ends), borders and edges of
+    more than two faces.
+    """
+    faces = model.faces
+    contrast = np.zeros(faces.shape, np.float32)
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    from_wedge, to_wedge = wedges.ravel(), np.roll(wedges, -1, axis=1).ravel()
+    ahead = start < end
+    key = np.where(ahead, start, end).astype(np.int64) * len(model.positions) + np.where(ahead, end, start)
+    order = np.argsort(key, kind="stable")
+    _, first, counts = np.unique(key[order], return_index=True, return_counts=True)
+    two = first[counts == 2]
+    a, b = order[two], order[two + 1]
+    flipped = start[a] != start[b]  # as in a consistent mesh
+    low_b, high_b = np.where(flipped, to_wedge[b], from_wedge[b]), np.where(flipped, from_wedge[b], to_wedge[b])
+    seam = (from_wedge[a] != low_b) | (to_wedge[a] != high_b)
+    a, b, flipped = a[seam], b[seam], flipped[seam]
+    if not len(a):
+        return contrast
+    total = np.zeros(len(a))
+    for part in (0.15, 0.5, 0.85):
+        one = _colours(model, (a // 3).astype(np.int32), _on_edge(a % 3, np.full(len(a), part)))
+        other = _colours(model, (b // 3).astype(np.int32), _on_edge(b % 3, np.where(flipped, 1 - part, part)))
+        total += ((one - other) ** 2).mean(axis=1) / 3
+    contrast.ravel()[a] = contrast.ravel()[b] = total
+    return contrast
+
+
+def _places(count: int) -> F64:
+    """(count, 3) barycentric weights, spread evenly, off the edges."""
+    i = np.arange(count)
+    r, s = (0.5 + 0.7548776662466927 * i) % 1, (0.5 + 0.5698402909980532 * i) % 1
+    over = r + s > 1
+    r, s = np.where(over, 1 - r, r), np.where(over, 1 - s, s)
+    return 0.9 * np.column_stack([1 - r - s, r, s]) + 0.1 / 3
+
+
+def _on_edge(slot: I32, part: F64) -> F64:
+    """(N, 3) weights of a point at `part` of the edge slot → slot + 1, a little within the face."""
+    weights = np.full((len(slot), 3), 0.03)
+    rows = np.arange(len(slot))
+    weights[rows, slot] += 0.91 * (1 - part)
+    weights[rows, (slot + 1) % 3] += 0.91 * part
+    return weights
+
+
+def _barycentric(e1: F64, e2: F64, step: F64) -> F64:
+    """The change of barycentric weights (N, 3) that goes with a step (N, 3) in the plane of e1 and e2."""
+    aa, ab, bb = (np.einsum("nd,nd->n", p, q) for p, q in ((e1, e1), (e1, e2), (e2, e2)))
+    sa, sb = np.einsum("nd,nd->n", step, e1), np.einsum("nd,nd->n", step, e2)
+    over = 1 / np.maximum(aa * bb - ab * ab, 1e-300)
+    v, w = (bb * sa - ab * sb) * over, (aa * sb - ab * sa) * over
+    return np.column_stack([-v - w, v, w])
+
+
+def _colours(model: Model, faces: I32, weights: F64, width: F64 | float = 0.0) -> F64:
+    """RGB (N, 3) at places of faces, through a filter `width` radii wide; looked at from straight above."""
+    pixel = np.broadcast_to(np.asarray(width, np.float32), (len(faces),))
+    spots = Spots(faces.astype(np.int32), weights.astype(np.float32), -model.geometric_normals(faces), pixel)
+    return model.colours(spots)[:, :3].astype(np.float64)
