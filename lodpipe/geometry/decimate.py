@@ -113,9 +113,9 @@ def decimate_asset(
     """All levels of an asset: level 0, the source, and one for each target, in the targets' order.
 
     Meshes with a `keep_reason` pass as they are; their triangles count against the target. `pixels` holds the decoded
-    images by their row, for the metric `visual` and for SimilarityOptions; factor colours stand in for the rest. `unseen` (`Sight.of`) judges targets in pixels, and has to be
-    given for them if the asset has textures. Raises InvalidMesh for a target out of range, Cancelled when `cancelled`
-    says so.
+    images by their row, for the metric `visual` and for SimilarityOptions; factor colours stand in for the rest.
+    `unseen` (`Sight.of`) judges targets in pixels, and has to be given for them if the asset has textures. Raises
+    InvalidMesh for a target out of range, Cancelled when `cancelled` says so.
     """
     options = options or QuadricOptions()
     source = Lod(meshes=asset.meshes)

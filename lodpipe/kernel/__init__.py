@@ -168,11 +168,13 @@ def decimate(
     """
     options = options or QuadricOptions()
     goals = _goals(targets)
-    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked, seam_scale)
+    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
     if options.chart_column is not None and not 0 <= options.chart_column < arrays[3].shape[1] - 1:
         raise InvalidMesh(f"chart_column {options.chart_column} needs two columns from there on")
+    scale = _seam_scale(seam_scale, len(arrays[1]))
+    run = progress or (lambda done, total: True)
     try:
-        given = _native.decimate(*arrays, goals, progress or (lambda done, total: True), _options(options, threads))
+        given = _native.decimate(*arrays, scale, goals, run, _options(options, threads))
     except ValueError as error:  # more pairs than there are numbers for
         raise InvalidMesh(str(error)) from None
     levels = [_level(data) for data in given["levels"]]
@@ -256,8 +258,9 @@ def edge_costs(
 
     Parameters as for `decimate`. Raises InvalidMesh for arrays that do not fit together.
     """
-    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked, seam_scale)
-    return EdgeCosts(**_native.edge_costs(*arrays, _options(options or QuadricOptions(), 1)))
+    arrays = _checked(positions, faces, wedges, values, column_weights, importance, locked)
+    scale = _seam_scale(seam_scale, len(arrays[1]))
+    return EdgeCosts(**_native.edge_costs(*arrays, scale, _options(options or QuadricOptions(), 1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,8 +351,7 @@ def _checked(
     column_weights: Sequence[float],
     importance: F32 | None,
     locked: NDArray[np.bool_] | None,
-    seam_scale: F32 | None,
-) -> tuple[Any, Any, Any, Any, Any, Any, Any, Any]:
+) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
     """The arrays as the native functions take them."""
     positions = _table(positions, np.float64, 3, "positions")
     faces = _table(faces, np.int32, 3, "faces")
@@ -386,7 +388,6 @@ def _checked(
         weights,
         _column(importance, np.float32, len(positions), "importance"),
         _column(locked, np.uint8, len(positions), "locked"),
-        _seam_scale(seam_scale, len(faces)),
     )
 
 

@@ -66,7 +66,7 @@ nb::dict record(lodpipe::Record& r, size_t columns) {
 lodpipe::Input input(const Table<double>& positions, const Table<int32_t>& faces, const Table<int32_t>& wedges,
                      const Table<float>& values, const Column<float>& column_weights,
                      const std::optional<Column<float>>& importance, const std::optional<Column<uint8_t>>& locked,
-                     const std::optional<Table<float>>& seam_scale) {
+                     const std::optional<Table<float>>& seam_scale = std::nullopt) {
   return {positions.data(),
           static_cast<int>(positions.shape(0)),
           faces.data(),
