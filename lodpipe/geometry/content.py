@@ -2,18 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
+from lodpipe.core.asset import Asset
 from lodpipe.core.mesh import F32, F64, I32
+from lodpipe.geometry.flatten import Soup
 from lodpipe.geometry.surface import Model, Spots
 from lodpipe.geometry.texture import U8, Textures
 
+LIGHT = 0.19
+"""A colour off by 1 (in all three channels) is priced like a surface that is off by so much of the level's edge."""
+SLIP = 0.1
+"""How far textures and seams are expected to slip, in edges of the level."""
+PLAIN_SEAM = 0.01
+"""Weight that holds a seam across which nothing changes: its chart has an end, and beyond it lies another."""
 SAMPLES = 12_000
 """Points at which a slip is tried."""
 TEXELS = 512
 """Textures are looked at in this size at most: a slip that counts is far longer than their texels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """What textures and colours are worth to a decimation.
+
+    uv     price of a slip of the texture: 1 like a surface that is off by that length
+    soup   the asset's faces
+    seams  (F, 3) float32, rows of the soup: the weight that holds the edge k → k + 1, if it is a seam
+    """
+
+    uv: float
+    soup: Soup
+    seams: F32
+
+    @staticmethod
+    def of(asset: Asset, pixels: Mapping[int, U8], finest: int, threads: int = 0) -> Content:
+        """Prices for levels of `finest` triangles and fewer; `pixels` holds the decoded images by their row.
+
+        The unit is a surface's squared distance: a squared difference of colour is worth LIGHT² · edge², edge the
+        level's mean. A seam that moves by d shows the wrong colour in a strip d wide, contrast² · |e| · d; for the d
+        about which it is decided, SLIP · edge, that is (LIGHT² / SLIP · contrast² · edge / |e|) · |e|² · d².
+        """
+        model = Model(asset, textures=small(pixels.get), threads=threads)
+        corners = model.corners(np.arange(len(model.faces), dtype=np.int32)).astype(np.float64)
+        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+        edge = float(np.sqrt(areas.sum() / max(finest, 1)))
+        length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        held = seam_contrasts(model, model.soup.wedges) * edge / np.maximum(length, 1e-9 * edge + 1e-300)
+        seams = np.maximum(LIGHT**2 / SLIP * held, PLAIN_SEAM).astype(np.float32)
+        return Content(LIGHT * edge * float(np.sqrt(slip_price(model, SLIP * edge))), model.soup, seams)
 
 
 def small(pixels: Callable[[int], U8 | None]) -> Textures:

@@ -18,7 +18,7 @@ from lodpipe.core.asset import Asset, Lod, Target
 from lodpipe.core.errors import Cancelled, InvalidMesh
 from lodpipe.core.mesh import F32, F64, I32, Mesh
 from lodpipe.core.skeleton import Importance, PartShare
-from lodpipe.geometry.content import seam_contrasts, slip_price, small
+from lodpipe.geometry.content import Content
 from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.extreme import Guide, extreme_levels
 from lodpipe.geometry.flatten import Bool, Soup, flatten, largest_placement
@@ -27,7 +27,6 @@ from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.progressive import rebuild
 from lodpipe.geometry.shading import with_normals
 from lodpipe.geometry.similarity import decimate_joined
-from lodpipe.geometry.surface import Model
 from lodpipe.geometry.switch import SCREEN_HEIGHT
 from lodpipe.geometry.texture import U8, Textures
 from lodpipe.geometry.visibility import vertex_visibility
@@ -59,14 +58,6 @@ class AttributeWeights:
     uv: float = 0.1
     normal: float = 0.05
     color: float = 0.1
-
-
-LIGHT = 0.19
-"""A colour off by 1 (in all three channels) is priced like a surface that is off by so much of the level's edge."""
-SLIP = 0.1
-"""How far textures and seams are expected to slip, in edges of the level."""
-PLAIN_SEAM = 0.01
-"""Weight that holds a seam across which nothing changes: its chart has an end, and beyond it lies another."""
 
 
 HIDDEN = 0.05
@@ -129,15 +120,15 @@ def decimate_asset(
     counts = [_count(goal, source.triangles) for goal in targets]
     wanted = sorted({max(c - fixed, 0) for c in counts if c is not None}, reverse=True)
     by_error = any(c is None for c in counts)
-    fits = visual and options.placement != "endpoint"  # half-edge collapses invent no values
+    fits = visual and getattr(options, "placement", "") != "endpoint"  # half-edge collapses invent no values
     finest = [c for c in counts if c]
     goals = [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted
     seam_scale = None
-    if visual:
-        content = _Content.of(asset, joined, pixels or {}, min(finest, default=1), threads)
-        seam_scale = content.seam_scale / np.float32(max(options.seam_weight, 1e-6))
+    if metric == "visual" and isinstance(options, QuadricOptions):
+        content = Content.of(asset, pixels or {}, min(finest, default=1), threads)
+        seam_scale = joined.from_soup(asset, content.soup, content.seams / max(options.seam_weight, 1e-6))
         if not options.attribute_cost:
-            options, weights = replace(options, attribute_cost=True), content.weights
+            options, weights = replace(options, attribute_cost=True), AttributeWeights(uv=content.uv)
 
     def step(done: int, total: int) -> bool:
         progress(done, total)
@@ -198,33 +189,6 @@ def decimate_asset(
         reason = "target" if reached else "kept meshes" if level.stop == "triangles" else level.stop
         lods.append(joined.lod(asset, level, goal, reason))
     return tuple(lods)
-
-
-@dataclass(frozen=True, eq=False)
-class _Content:
-    """What the visual metric takes from textures and colours."""
-
-    weights: AttributeWeights
-    seam_scale: F32
-    """(F, 3): the weight that holds each edge, if it is a seam."""
-
-    @staticmethod
-    def of(asset: Asset, joined: _Joined, pixels: Mapping[int, U8], finest: int, threads: int) -> _Content:
-        """Prices in the unit of the others: a squared difference of colour is worth LIGHT² · edge², as for COLOR_0.
-
-        A seam that moves by a length d shows the wrong colour in a strip d wide: contrast² · |e| · d. For the d about
-        which it is decided, a tenth of the level's edge, that is the plane weight below times |e|² · d².
-        """
-        model = Model(asset, textures=small(pixels.get), threads=threads)
-        corners = model.corners(np.arange(len(model.faces), dtype=np.int32)).astype(np.float64)
-        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-        edge = float(np.sqrt(areas.sum() / max(finest, 1)))
-        uv = LIGHT * edge * float(np.sqrt(slip_price(model, SLIP * edge)))
-        contrast = seam_contrasts(model, model.soup.wedges)
-        length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-        held = LIGHT**2 / SLIP * contrast * edge / np.maximum(length, 1e-9 * edge + 1e-300)
-        scale = joined.from_soup(asset, model.soup, np.maximum(held, PLAIN_SEAM).astype(np.float32))
-        return _Content(AttributeWeights(uv=uv), scale)
 
 
 def _as_target(target: int | float | Target) -> Target:
@@ -387,7 +351,7 @@ class _Joined:
             self.wedges,
             self.values,
             level,
-            samples=max(min(24 * count, 1_000_000), 6 * count, 2000),
+            samples=max(min(24 * count, 240_000), 8 * count, 2000),
             chart_column=self.chart_column,
             importance=self.importance,
             threads=threads,

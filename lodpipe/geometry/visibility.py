@@ -9,9 +9,9 @@ from lodpipe.core.mesh import F32, F64, I32
 from lodpipe.geometry.camera import bounding_sphere, views
 from lodpipe.geometry.flatten import Part, Soup, flatten
 
-VIEWS = 42
-RAYS_PER_FACE = 40
-RAYS = (200_000, 4_000_000)
+VIEWS = 30
+RAYS_PER_FACE = 8
+RAYS = (200_000, 3_000_000)
 """Least and most rays over all views."""
 
 

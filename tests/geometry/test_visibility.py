@@ -48,7 +48,7 @@ def test_both_sides_of_a_sheet_count_and_the_best_placement():
     assert hidden.max() == 0
     nodes = [{"mesh": 0}, {"mesh": 1}, {"mesh": 0, "translation": [20, 0, 0]}]
     twice, _ = vertex_visibility(model(sheet, ball, nodes=nodes))
-    assert twice.min() > 0.8
+    assert twice.min() > 0.4 and twice.mean() > 0.9
 
 
 def test_no_faces_no_scene():
