@@ -21,7 +21,7 @@ SITE = $(shell $(PY) -c 'import sysconfig; print(sysconfig.get_path("platlib"))'
 SANITIZE_BUILD = build/sanitize-$(SANITIZE)
 COMMA := ,
 
-.PHONY: help demo demo-watch soak test test-all test-sanitize lint format stubs bench skeletons all setup kernel clean distclean
+.PHONY: help demo demo-watch soak test test-all test-sanitize lint format stubs bench skeletons thesis all setup kernel clean distclean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 16
@@ -60,6 +60,9 @@ soak: $(NATIVE)  ## the daemon's figures: 1,000 assets, 200 kills, 30 minutes of
 
 skeletons: $(NATIVE) $(SAMPLES)  ## skeletons, segments and extreme levels as pictures and tables, in out/skeletons
 	@$(PY) docs/make_skeletons.py -o out/skeletons $(ARGS)
+
+thesis: $(NATIVE) $(SAMPLES)  ## tables and pictures of docs/thesis.md; ARGS: untextured models to stripe and measure, too
+	@$(PY) docs/make_thesis.py $(ARGS)
 
 all: lint test-all demo  ## lint, all tests, the demo
 
