@@ -248,7 +248,7 @@ def test_an_error_of_zero_takes_nothing_that_counts():
         (float("nan"), "above 0 and up to 1"),
         (Target(error=-1.0), "error of 0 % or more"),
         (Target(), "a target needs"),
-        (Target(pixels=1.0, screen=0.05), "a target needs"),
+        (Target(pixels=1.0), "a target needs"),
         (True, "a target is a number"),
         ("half", "a target is a number"),
         (None, "a target is a number"),
