@@ -22,7 +22,7 @@ from lodpipe.io import pixels_of
 
 SHARED = Path(__file__).parents[3] / "shared"
 PYTHON = Path(os.environ.get("LODPIPE_BENCH", "/opt/bench")) / "peers" / "bin" / "python"
-MODELS = ("duck.glb", "spot_cow/cow.obj", "flight_helmet/FlightHelmet.gltf", "barrel.glb", "textured_dragon/dragon.obj")
+MODELS = ("duck.glb", "spot_cow/cow.obj", "flight_helmet/FlightHelmet.gltf", "barrel.glb", "oculus_touch_left.glb")
 JUDGE = """
 import json, sys
 sys.path.insert(0, sys.argv[1])
