@@ -39,7 +39,7 @@ class QuadricOptions:
     two ends (a half-edge collapse: only vertices of the input remain), or the middle."""
     weighting: Weighting = "area"
     """Weight of a face's plane: 1, its area / 3, or its area × its angle at the vertex / π."""
-    boundary_weight: float = 0.5
+    boundary_weight: float = 0.15
     """Weight of the planes that hold open boundaries, × squared edge length; ≥ 0."""
     seam_weight: float = 0.03
     """The same at seams (one position, several wedges), material borders and edges of more than two faces."""

@@ -14,7 +14,7 @@ constexpr int kStops = 8;
 struct Options {
   Placement placement = Placement::optimal;
   Weighting weighting = Weighting::area;
-  float boundary_weight = 0.5f, seam_weight = 0.03f, crease_weight = 0;
+  float boundary_weight = 0.15f, seam_weight = 0.03f, crease_weight = 0;
   float crease_cos = 0.5f;       // cosine of the dihedral turn from which an edge is a crease
   double pair_distance = 0;      // object units; 0: edges only
   bool attribute_cost = true;    // false: attributes are carried, but do not steer
