@@ -107,6 +107,8 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
     if params.uvs == "free":
         asset = without_uvs(asset)
     similarity = _similarity(params)
+    if similarity and asset.importance is not None and (asset.importance.pinned or asset.importance.shares):
+        context.warn(f"`metric: {params.metric}` does not know pinned parts or shares of parts; they are left out")
     options = similarity or _quadric(asset, params)
     pixels = _pixels(asset, context) if similarity or params.metric == "visual" else {}
     levels = decimate_asset(

@@ -12,6 +12,7 @@ from lodpipe.core.asset import Asset, Target
 from lodpipe.core.errors import Cancelled
 from lodpipe.core.material import Image, Material
 from lodpipe.core.mesh import Mesh
+from lodpipe.core.skeleton import Importance
 from lodpipe.geometry.decimate import AttributeWeights
 from lodpipe.kernel import QuadricOptions
 from lodpipe.stage import Context
@@ -164,6 +165,17 @@ def test_ray_metrics_reach_their_kernel():
         asset, _ = run(ball, metric="ray", collapse="half", **{"views": 4, **change})
         made[str(change)] = asset.lods[2].meshes[0].fingerprint()
     assert len(set(made.values())) == len(made)
+
+
+def test_pins_that_a_ray_metric_does_not_know_are_told():
+    ball = Mesh(*bumpy(2))
+    ones, none = (np.ones(len(ball.positions), np.float32),), np.zeros((0, 3), np.int32)
+    pinned = (np.ones(len(ball.positions), bool),)
+    asset = Asset("ball", (ball,), importance=Importance(ones, ones, none, none[:, 0], pinned=pinned))
+    for metric, expected in (("ray", 1), ("quadric", 0)):
+        context = Context(lods=HALF)
+        decimate(asset, DecimateParams(metric=metric, views=2), context)
+        assert sum("pinned parts" in text for text in context.warnings) == expected
 
 
 def test_a_missing_texture_is_told_and_its_factor_stands_in():
