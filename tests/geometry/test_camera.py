@@ -7,7 +7,7 @@ import pytest
 
 from lodpipe.core.asset import Asset
 from lodpipe.core.mesh import Mesh
-from lodpipe.geometry.camera import Camera, bounding_sphere, views
+from lodpipe.geometry.camera import CARDINAL, Camera, bounding_sphere, views
 from lodpipe.geometry.flatten import flatten
 from meshes import box, sphere
 
@@ -48,6 +48,20 @@ def test_the_size_of_a_pixel(fov):
     distance = 3.0
     ends = (origins + directions * distance / -directions[:, 2:]).reshape(101, 101, 3)
     assert ends[50, 51, 0] - ends[50, 50, 0] == pytest.approx(constant + growing * distance, rel=1e-4)
+
+
+def test_each_cardinal_view_sees_one_side_of_a_box():
+    """A box of another width, height and depth: its outline tells from where it is seen."""
+    size = {"x": 1.0, "y": 2.0, "z": 4.0}
+    seen = {"front": "xyz", "back": "xyz", "left": "zyx", "right": "zyx", "top": "xzy", "bottom": "xzy"}
+    assert set(CARDINAL) == set(seen)
+    for name, (across, up, depth) in seen.items():
+        camera = Camera.around(np.zeros(3), 3.0, CARDINAL[name], fov=None)
+        right, above, back = camera.axes
+        extent = np.array([size["x"], size["y"], size["z"]])
+        assert np.abs([right, above, back]) @ extent == pytest.approx([size[across], size[up], size[depth]])
+        assert back @ CARDINAL[name] == pytest.approx(1)
+    assert np.cross(CARDINAL["top"], CARDINAL["front"]) == pytest.approx(CARDINAL["right"])
 
 
 def test_the_bounding_sphere():

@@ -25,6 +25,13 @@ from meshes import box, grid, sphere
 
 FRONT = Camera(np.array([0.5, 0.5, 3.0]), np.array([0.5, 0.5, 0.0]), fov=None, height=1.0)
 """Sees the unit square exactly."""
+
+
+def front_pixel(point):
+    """Row and column of a point of the unit square in a picture of 16 × 16."""
+    return int((1 - point[1]) * 16), int(point[0] * 16)
+
+
 UNLIT = {"extensions": {"KHR_materials_unlit": {}}}
 QUARTERS = np.array([[[250, 0, 0], [0, 250, 0]], [[0, 0, 250], [250, 250, 0]]], np.uint8).repeat(8, 0).repeat(8, 1)
 """Red, green above blue, yellow; 16 × 16."""
@@ -114,6 +121,21 @@ def test_a_texture_far_away_is_averaged():
     image = picture(scene(square(), materials=[textured()]), chequer, size=17)
     assert image.min() > 180  # half the light, as sRGB: 188
     assert image.max() < 195
+
+
+def test_colours_of_one_s_own_stand_in_for_the_materials():
+    """A colour for each face, exact where it lies; one for each vertex, blended between them."""
+    asset = scene(square(), materials=[textured()])
+    model = Model(asset, textures=Textures({0: QUARTERS}))
+    faces = asset.meshes[0].faces
+    own = np.array([[1, 0, 0], [0, 0, 1]], np.float32)
+    image = render(model, FRONT, 16, 16, Style(face_colours=own, lit=False), supersample=1)
+    inside = [front_pixel(asset.meshes[0].positions[face].mean(axis=0)) for face in faces]
+    assert [image[at].tolist() for at in inside] == [[255, 0, 0], [0, 0, 255]]
+    ends = asset.meshes[0].positions[:, :1].astype(np.float32) * np.ones((1, 3), np.float32)
+    image = render(model, FRONT, 16, 16, Style(vertex_colours=ends, lit=False), supersample=1)
+    assert (np.diff(image[8, :, 0].astype(int)) > 0).all()
+    assert np.abs(image[:, 7:9].astype(int) - 127.5).max() <= 10
 
 
 def test_factor_and_vertex_colours_multiply():
