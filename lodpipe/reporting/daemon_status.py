@@ -95,7 +95,7 @@ def _row(asset: Mapping[str, Any], now: float, style: Style) -> tuple[str, ...]:
     return (
         clean(asset["asset"]),
         style(state, _COLOURS.get(state, "dim")),
-        size(asset["bytes"]),
+        size(asset["bytes"]) if asset["bytes"] else "–",  # not known before it has come to rest
         _age(now - asset["since"]),
         clean(text),
     )

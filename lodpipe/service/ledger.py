@@ -35,7 +35,7 @@ class Ledger:
 
     def new(self, key: str) -> Row:
         """A row for an asset that has not been seen before."""
-        row = self.rows[key] = Row(key, self._places.give(PurePosixPath(key)))
+        row = self.rows[key] = Row(key, self._places.give(PurePosixPath(key)), changed_at=self.clock.time())
         self.log.info("%s: seen", key, extra=about(row))
         self.set(row, SETTLING, reason="new")
         return row

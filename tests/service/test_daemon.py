@@ -51,6 +51,7 @@ def test_what_is_there_at_the_start_settles_too(tmp_path):
     world = World(tmp_path)
     world.look()
     assert world.executor.started == []
+    assert (world.row("a.obj").state, world.row("a.obj").changed_at) == ("settling", world.clock.time())
     assert world.work() == ["a.obj"]
 
 
