@@ -13,24 +13,11 @@ from pathlib import Path
 import pytest
 
 from chains import CHAIN, write_obj
-from daemon_kit import Running, World, until
+from daemon_kit import World, until
 from lodpipe.service import control
 
 BAD = Path(__file__).parents[3] / "shared" / "assets" / "bad"
 WAYS = ("crash", "killed", "exit", "bug", "memory", "hang", "error")
-
-
-@pytest.fixture
-def running(tmp_path):
-    made = []
-
-    def make(*arguments, **options) -> Running:
-        made.append(Running(tmp_path, *arguments, **options))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.end()
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from chains import CHAIN, plugin_folder, write_obj
-from daemon_kit import Running, until
+from daemon_kit import until
 from lodpipe.core.errors import ConfigError, OutputError
 from lodpipe.service import control
 from lodpipe.service.lock import is_running, take_lock
@@ -22,19 +22,6 @@ from lodpipe.service.recipe import read_recipe
 from lodpipe.service.watch import Request, check_apart, watch
 
 REPO = Path(__file__).parents[2]
-
-
-@pytest.fixture
-def running(tmp_path):
-    made = []
-
-    def make(*arguments, **options) -> Running:
-        made.append(Running(tmp_path, *arguments, **options))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.end()
 
 
 def get(url: str, **headers: str) -> tuple[int, bytes, dict[str, str]]:
