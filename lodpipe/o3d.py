@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lodpipe.core.errors import LodpipeError
 from lodpipe.core.mesh import F32, I32
+from lodpipe.core.rays import Hits
 
 try:
     import open3d
@@ -24,20 +25,6 @@ except (ImportError, OSError) as error:  # OSError: a system library that the wh
     ) from error
 
 VERSION: str = open3d.__version__
-
-
-@dataclass(frozen=True)
-class Hits:
-    """The first triangle that each of N rays meets.
-
-    distance  (N,) float32, in lengths of the ray's direction; infinity where nothing was hit
-    faces     (N,) int32, −1 where nothing was hit
-    uv        (N, 2) float32: the point is (1 − u − v)·a + u·b + v·c of the triangle's corners a, b, c
-    """
-
-    distance: F32
-    faces: I32
-    uv: F32
 
 
 @dataclass(frozen=True)

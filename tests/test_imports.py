@@ -33,7 +33,7 @@ MAY_IMPORT: dict[str, str] = {
 
 ONLY_IN: dict[str, str | tuple[str, ...]] = {
     "open3d": "lodpipe/o3d.py",
-    "lodpipe.kernel._native": ("lodpipe/kernel/__init__.py", "lodpipe/kernel/layout.py"),
+    "lodpipe.kernel._native": ("lodpipe/kernel/__init__.py", "lodpipe/kernel/layout.py", "lodpipe/kernel/surfaces.py"),
     "sqlite3": "lodpipe/service/",
     "signal": "lodpipe/service/",
     "multiprocessing": "lodpipe/service/",

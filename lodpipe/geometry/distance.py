@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,12 @@ from lodpipe.core.asset import Asset, ErrorFigures
 from lodpipe.core.errors import InvalidMesh
 from lodpipe.core.mesh import F32, F64, I32
 from lodpipe.geometry.flatten import Bool, Soup, flatten
-
-if TYPE_CHECKING:
-    from lodpipe.o3d import RayScene
+from lodpipe.kernel.surfaces import TriangleTree
 
 I64 = NDArray[np.int64]
 
 BATCH = 1 << 18
-"""Points asked about at once, which bounds the memory of a question to about 30 MB."""
+"""Faces looked at at once, which bounds the memory that takes."""
 SAMPLES_PER_FACE = 1000
 """No triangle needs more; the few triangles of a very coarse level lie far inside a fine source, where a closest
 point can take a millisecond."""
@@ -76,8 +74,7 @@ def distance_between(a: Soup, b: Soup, samples: int = 100_000, seed: int = 0, th
     sample's distance (and 0.1 % of the diagonal), or with the twin of a face that is there once for either side.
 
     The result is the same for any number of threads. Precision is about 1e-7 of the diagonal, wherever in space
-    and however large the surfaces are (1e-5 on fans of needles a thousand times as long as thick). Raises
-    InvalidMesh if one of the two has no triangles.
+    and however large the surfaces are. Raises InvalidMesh if one of the two has no triangles.
     """
     if (len(a.faces) == 0) != (len(b.faces) == 0):
         raise InvalidMesh("there is no distance to a model without triangles")
@@ -134,22 +131,15 @@ class _Surface:
         self._options = options
 
     @cached_property
-    def _scene(self) -> tuple[RayScene, I32 | None]:
-        """The search structure and, where it holds pieces of faces, the face that each piece is of."""
-        from lodpipe.o3d import RayScene
-
-        positions, faces, parents = split_slivers(self.positions, self.faces, *self._sizes)
-        return RayScene(positions, faces, self._options.threads), parents
-
-    @cached_property
-    def _sizes(self) -> tuple[F32, F32]:
-        return face_sizes(self.positions, self.faces)
+    def _tree(self) -> TriangleTree:
+        return TriangleTree(self.positions, self.faces, self._options.threads)
 
     @cached_property
     def samples(self) -> tuple[F32, I32]:
         """Points spread over the surface, and the faces that they lie on."""
         count = min(self._options.samples, SAMPLES_PER_FACE * len(self.faces))
-        return sample_surface(self.positions, self.faces, self._sizes[0], count, self._options.seed)
+        area = doubled_areas(self.positions, self.faces)
+        return sample_surface(self.positions, self.faces, area, count, self._options.seed)
 
     @cached_property
     def sample_normals(self) -> F64:
@@ -176,13 +166,8 @@ class _Surface:
 
     def closest(self, points: F32) -> tuple[F64, I32]:
         """Distance (N,) and face (N,) of the closest point to each of `points` (N, 3)."""
-        scene, parents = self._scene
-        distance, faces = np.empty(len(points)), np.empty(len(points), np.int32)
-        for start in range(0, len(points), BATCH):
-            part = slice(start, start + BATCH)
-            found, faces[part] = scene.closest(points[part])
-            distance[part] = np.linalg.norm(found.astype(np.float64) - points[part], axis=1)
-        return distance, faces if parents is None else parents[faces]
+        distance, _, faces = self._tree.closest(points)
+        return distance, faces
 
     def has_twin(self, faces: I32) -> Bool:
         """Which of `faces` (N,) are there a second time, wound the other way round."""
@@ -198,68 +183,55 @@ class _Surface:
     def facing_cosine(self, points: F32, normals: F64, reach: F64) -> F64:
         """Of the surfaces within ±`reach` (N,) on each point's normal line that face the same way, the nearest's
         cosine with the normal; −1 where there is none."""
-        direction = normals.astype(np.float32)
-        start = points - direction * reach[:, None].astype(np.float32)
-        scene, parents = self._scene
-        found = scene.crossings(start, direction)
-        faces = found.faces if parents is None else parents[found.faces]
-        cosine = np.einsum("ij,ij->i", self.normals(faces), normals[found.rays])
-        away = np.abs(found.distance - reach[found.rays])
-        fits = np.flatnonzero((cosine > 0) & (away <= reach[found.rays]))
-        fits = fits[np.lexsort((faces[fits], away[fits], found.rays[fits]))]
-        rays, first = np.unique(found.rays[fits], return_index=True)
-        best = np.full(len(points), -1.0)
-        best[rays] = cosine[fits[first]]
-        return best
+        faces = self._tree.facing(points, normals, reach)
+        cosine = np.einsum("ij,ij->i", self.normals(faces), normals)
+        return np.where(faces >= 0, cosine, -1.0)
 
 
 def _both_ways(a: _Surface, b: _Surface) -> ErrorFigures:
     if np.array_equal(a.faces, b.faces) and np.array_equal(a.positions, b.positions):
         return ErrorFigures(0.0, 0.0, 0.0, 0.0)
     to, back = _one_way(a, b), _one_way(b, a)
+    largest = max(float(way.distance.max()) for way in (to, back))
+    for way in (to, back):
+        largest = _largest(way, largest)
     return ErrorFigures(
-        mean=50.0 * (to.mean + back.mean),
-        rms=100.0 * float(np.sqrt((to.rms**2 + back.rms**2) / 2)),
-        max=100.0 * max(to.max, back.max),
-        normal_degrees=(to.normal_degrees + back.normal_degrees) / 2,
+        mean=50.0 * float(to.distance.mean() + back.distance.mean()),
+        rms=100.0 * float(np.sqrt((np.square(to.distance).mean() + np.square(back.distance).mean()) / 2)),
+        max=100.0 * largest,
+        normal_degrees=(_normal_deviation(to) + _normal_deviation(back)) / 2,
     )
 
 
-class _Deviation(NamedTuple):
-    """One direction's figures, distances in diagonals."""
+class _Way(NamedTuple):
+    """The samples of `a`: their distances (N,) from `b` in diagonals, and the faces of b's closest points."""
 
-    mean: float
-    rms: float
-    max: float
-    normal_degrees: float
-
-
-def _one_way(a: _Surface, b: _Surface) -> _Deviation:
-    points, _ = a.samples
-    distance, faces = b.closest(points)
-    return _Deviation(
-        mean=float(distance.mean()),
-        rms=float(np.sqrt(np.square(distance).mean())),
-        max=_largest(a, b, distance),
-        normal_degrees=_normal_deviation(points, a.sample_normals, distance, faces, b),
-    )
+    a: _Surface
+    b: _Surface
+    distance: F64
+    faces: I32
 
 
-def _largest(a: _Surface, b: _Surface, distance: F64) -> float:
-    """The largest distance to `b` of a's samples, which is known, and of its vertices.
+def _one_way(a: _Surface, b: _Surface) -> _Way:
+    return _Way(a, b, *b.closest(a.samples[0]))
+
+
+def _largest(way: _Way, largest: float) -> float:
+    """The larger of `largest` and the distances of a's vertices to `b`.
 
     No vertex is farther away than a sample is, plus the way between the two: only those are asked for that could
-    be farther than the farthest sample, evenly thinned where they are more than half the number of samples.
+    be farther than `largest`, evenly thinned where they are more than half the number of samples.
     """
-    vertices, near, way = a.vertices
-    largest = float(distance.max())
-    asked = np.flatnonzero(distance[near] + way > largest)
-    asked = asked[:: 1 + 2 * len(asked) // len(distance)]
-    return max(largest, float(b.closest(vertices[asked])[0].max(initial=0.0)))
+    vertices, near, gap = way.a.vertices
+    asked = np.flatnonzero(way.distance[near] + gap > largest)
+    asked = asked[:: 1 + 2 * len(asked) // len(way.distance)]
+    return max(largest, float(way.b.closest(vertices[asked])[0].max(initial=0.0)))
 
 
-def _normal_deviation(points: F32, normals: F64, distance: F64, faces: I32, other: _Surface) -> float:
-    """Mean angle in degrees between `normals` at `points` and the facing normals of `other`; see distance_between."""
+def _normal_deviation(way: _Way) -> float:
+    """Mean angle in degrees between the normals at a's samples and b's facing normals; see distance_between."""
+    (points, _), normals, distance, other = way.a.samples, way.a.sample_normals, way.distance, way.b
+    faces = way.faces
     others = other.normals(faces)
     cosine = np.einsum("ij,ij->i", normals, others)
     defined = normals.any(axis=1) & others.any(axis=1)
@@ -275,56 +247,16 @@ def _normal_deviation(points: F32, normals: F64, distance: F64, faces: I32, othe
     return float(np.degrees(np.arccos(np.clip(cosine[defined], -1.0, 1.0))).mean())
 
 
-def split_slivers(positions: F32, faces: I32, doubled_area: F32, longest_edge: F32) -> tuple[F32, I32, I32 | None]:
-    """Halve long slivers, until single precision finds their closest points or there are 100,000 pieces more.
-
-    A closest point's barycentric coordinates lose what a triangle's length exceeds its height by: the point is off
-    by about ε·L³ / 2A (L the longest edge, A the area). Each halving of the longest edge divides that by four.
-    Returns positions and faces for the search, and the face of which each row is a piece (None: nothing was split).
-    Faces without area are left out unless there are no others: their edges are their neighbours'.
-    """
-    weak, flat = _slivers(doubled_area, longest_edge)
-    if not weak.any() and (not flat.any() or flat.all()):
-        return positions, faces, None
-    keep = ~flat
-    parents = np.flatnonzero(keep).astype(np.int32)
-    faces, weak = faces[keep], weak[keep]
-    done, owners = [faces[~weak]], [parents[~weak]]
-    faces, parents = faces[weak], parents[weak]
-    limit = 2 * len(keep) + 100_000
-    while len(faces) and sum(map(len, done)) + 2 * len(faces) < limit:
-        corners = positions[faces]
-        longest = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2).argmax(axis=1)
-        a, b, c = (np.take_along_axis(faces, (longest[:, None] + k) % 3, axis=1)[:, 0] for k in range(3))
-        middle = np.arange(len(positions), len(positions) + len(faces), dtype=np.int32)
-        positions = np.concatenate([positions, (positions[a] + positions[b]) * np.float32(0.5)])
-        faces = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
-        parents = np.concatenate([parents, parents])
-        weak, _ = _slivers(*face_sizes(positions, faces))
-        done.append(faces[~weak])
-        owners.append(parents[~weak])
-        faces, parents = faces[weak], parents[weak]
-    return positions, np.concatenate([*done, faces]), np.concatenate([*owners, parents])
-
-
-def _slivers(doubled_area: F32, longest_edge: F32) -> tuple[Bool, Bool]:
-    """Which faces need halving, and which have no area."""
-    square = longest_edge * longest_edge
-    flat = doubled_area <= 1e-7 * square
-    return ~flat & (1.2e-7 * square * longest_edge > 1e-6 * doubled_area), flat
-
-
-def face_sizes(positions: F32, faces: I32) -> tuple[F32, F32]:
-    """Twice the area, and the longest edge, of each of `faces` (N, 3): (N,) float32 each."""
-    doubled, longest = np.empty(len(faces), np.float32), np.empty(len(faces), np.float32)
+def doubled_areas(positions: F32, faces: I32) -> F32:
+    """(N,) float32: twice the area of each of `faces` (N, 3)."""
+    doubled = np.empty(len(faces), np.float32)
     for start in range(0, len(faces), BATCH):
         part = slice(start, start + BATCH)
         a, b, c = (positions[faces[part, k]] for k in range(3))
-        ab, ac, bc = (b - a).T, (c - a).T, (c - b).T
+        ab, ac = (b - a).T, (c - a).T
         normal = ab[1] * ac[2] - ab[2] * ac[1], ab[2] * ac[0] - ab[0] * ac[2], ab[0] * ac[1] - ab[1] * ac[0]
         doubled[part] = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-        longest[part] = np.sqrt(np.max([e[0] ** 2 + e[1] ** 2 + e[2] ** 2 for e in (ab, ac, bc)], axis=0))
-    return doubled, longest
+    return doubled
 
 
 def _area_vectors(positions: F32, faces: I32) -> F64:

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from lodpipe.core.mesh import F32, F64, I32
 from lodpipe.geometry.flatten import Soup
 from lodpipe.geometry.texture import U8
+from lodpipe.kernel.surfaces import TriangleTree
 
 RAMP = ("#b4bcc8", "#f3e08f", "#f5a623", "#d7301f", "#67001f")
 """Nothing, little … much: from pale grey through yellow to dark red."""
-BATCH = 1 << 18
 DECADES = 1000.0
 
 
@@ -44,9 +44,8 @@ def distance_to(source: Soup, level: Soup, points: F64 | None = None, threads: i
     """Distance of each vertex of `source` (or of `points` (N, 3)) to the surface of `level`, in % of the source's
     bounding-box diagonal. Raises ValueError for a level without triangles.
     """
-    asked, found, _ = _closest(source, level, source.positions if points is None else points, threads)
-    distance: F64 = 100.0 * np.linalg.norm(found.astype(np.float64) - asked, axis=1)
-    return distance
+    _, distance, _ = _closest(source, level, source.positions if points is None else points, threads)
+    return 100.0 * distance
 
 
 def nearest_vertices(source: Soup, points: F64, threads: int = 0) -> I32:
@@ -59,16 +58,14 @@ def nearest_vertices(source: Soup, points: F64, threads: int = 0) -> I32:
     return rows
 
 
-def _closest(frame: Soup, surface: Soup, points: F64, threads: int) -> tuple[F32, F32, I32]:
-    """`points`, their closest points on `surface` (N, 3), in the frame's diagonals about its centre; the faces (N,)."""
-    from lodpipe.o3d import RayScene
-
+def _closest(frame: Soup, surface: Soup, points: F64, threads: int) -> tuple[F32, F64, I32]:
+    """`points` in the frame's diagonals about its centre, their distances from `surface` in diagonals, the faces."""
     low, high = frame.bounds
     centre, scale = low + (high - low) / 2, frame.diagonal or 1.0
-    scene = RayScene(((surface.positions - centre) / scale).astype(np.float32), surface.faces, threads)
+    tree = TriangleTree(((surface.positions - centre) / scale).astype(np.float32), surface.faces, threads)
     asked = ((points - centre) / scale).astype(np.float32)
-    parts = [scene.closest(asked[start : start + BATCH]) for start in range(0, max(len(asked), 1), BATCH)]
-    return asked, np.concatenate([found for found, _ in parts]), np.concatenate([faces for _, faces in parts])
+    distance, _, faces = tree.closest(asked)
+    return asked, distance, faces
 
 
 def _rgb(colour: str) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""Pictures of a model, by casting a ray through each pixel.
+"""Pictures of a model: what the ray through each pixel meets.
 
 For looking at results and for measuring what is seen: base colour, normal maps and emission under fixed lights, no
 shadows, no reflections. Colours are worked on in linear light and stored as sRGB.
@@ -200,21 +200,18 @@ def _layers(
     """The surfaces that the rays through the pixels of `rows` meet, front to back, until nothing shines through."""
     if only_alpha is None:
         only_alpha = style.mode != "shaded" or style.face_colours is not None or style.vertex_colours is not None
-    origins, directions = camera.rays(width, height, rows, model.centre, model.radius)
+    _, directions = camera.rays(width, height, rows, model.centre, model.radius)
     constant, growing = camera.pixel_size(height, model.radius)
-    rays = np.arange(len(origins))
-    gone = np.zeros(len(rays), np.float32)
-    light = np.ones(len(rays), np.float32)
-    hits = model.rays.cast(origins, directions)
+    light = np.ones(len(directions), np.float32)
+    behind = None
     for _ in range(MAX_LAYERS):
-        met = np.flatnonzero(hits.faces >= 0)
-        if not len(met):
+        hits = model.first_hits(camera, width, height, rows, behind)
+        rays = np.flatnonzero(hits.faces >= 0)
+        if not len(rays):
             return
-        rays = rays[met]
-        distance = gone[rays] + hits.distance[met]
-        uv = hits.uv[met]
+        distance, uv = hits.distance[rays], hits.uv[rays]
         spots = Spots(
-            faces=hits.faces[met],
+            faces=hits.faces[rays],
             weights=np.column_stack([1 - uv[:, 0] - uv[:, 1], uv]),
             directions=directions[rays],
             pixel=np.float32(constant) + np.float32(growing) * distance,
@@ -222,11 +219,11 @@ def _layers(
         layer = _Layer(rays, spots, distance, model.colours(spots, only_alpha, style.cull))
         yield layer
         light[rays] *= 1 - layer.rgba[:, 3]
-        gone[rays] = distance + np.float32(STEP)
-        rays = rays[light[rays] > 1 / 512]
-        if not len(rays):
+        through = light[rays] > 1 / 512
+        if not through.any():
             return
-        hits = model.rays.cast(origins[rays] + directions[rays] * gone[rays, None], directions[rays])
+        behind = np.full(len(directions), np.inf, np.float32)
+        behind[rays[through]] = distance[through] + np.float32(STEP)
 
 
 class _Band:

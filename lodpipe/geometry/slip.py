@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lodpipe.core.mesh import F32, F64, I32
-from lodpipe.geometry.distance import face_sizes, sample_surface
+from lodpipe.geometry.distance import doubled_areas, sample_surface
 from lodpipe.geometry.surface import Model
+from lodpipe.kernel.surfaces import TriangleTree
 
 UV = "TEXCOORD_0"
 FAR = 5.0
@@ -39,7 +40,7 @@ def texture_slip(a: Model, b: Model, samples: int = 50_000, seed: int = 0) -> Sl
     ours, theirs = a.soup.attribute(UV), b.soup.attribute(UV)
     if ours is None or theirs is None:
         return "one of the two has no UVs"
-    area, _ = face_sizes(a.positions, a.faces)
+    area = doubled_areas(a.positions, a.faces)
     uv = ours[0][a.soup.wedges].astype(np.float64)[:, :, :2]
     d, e = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     flat = np.abs(d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0])
@@ -48,7 +49,7 @@ def texture_slip(a: Model, b: Model, samples: int = 50_000, seed: int = 0) -> Sl
         return "no face of the first has an area in UV space"
     points, faces = sample_surface(a.positions, a.faces, usable, samples, seed)
     world = points.astype(np.float64) * a.radius + a.centre
-    near, there = b.rays.closest(((world - b.centre) / b.radius).astype(np.float32))
+    _, near, there = TriangleTree(b.positions, b.faces).closest(((world - b.centre) / b.radius).astype(np.float32))
     theirs_uv = theirs[0][b.soup.wedges[there]].astype(np.float64)[:, :, :2]
     gap = _at(points, a.positions, a.faces[faces], uv[faces]) - _at(near, b.positions, b.faces[there], theirs_uv)
     length = np.sqrt(area[faces] / flat[faces]) * a.radius
@@ -60,7 +61,7 @@ def texture_slip(a: Model, b: Model, samples: int = 50_000, seed: int = 0) -> Sl
     return Slip(float(slip[good].mean()), float(np.sqrt(np.square(slip[good]).mean())), share)
 
 
-def _at(points: F32, positions: F32, faces: I32, uv: F64) -> F64:
+def _at(points: F32 | F64, positions: F32, faces: I32, uv: F64) -> F64:
     """(N, 2): the UVs (N, 3, 2) of triangles `faces` (N, 3), at `points` (N, 3) that lie in them."""
     p, q, r = (positions[faces[:, k]].astype(np.float64) for k in range(3))
     to, e, f = points.astype(np.float64) - p, q - p, r - p

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,16 @@ from numpy.typing import NDArray
 from lodpipe.core.asset import Asset
 from lodpipe.core.material import Material, TextureRef, texture_ref
 from lodpipe.core.mesh import F32, F64, I32, Mesh
-from lodpipe.geometry.camera import bounding_sphere
+from lodpipe.core.rays import Hits
+from lodpipe.geometry.camera import Camera, bounding_sphere
 from lodpipe.geometry.flatten import Soup, flatten
 from lodpipe.geometry.normals import crease_normals, face_normals
 from lodpipe.geometry.tangents import corner_tangents
 from lodpipe.geometry.texture import NEAREST, REPEAT, Texture, Textures, chequer, to_srgb, uv_matrix
+from lodpipe.kernel.surfaces import raster
+
+if TYPE_CHECKING:
+    from lodpipe.o3d import RayScene
 
 CREASE = 60.0
 """Degrees between faces from which an edge without normals of its own looks sharp."""
@@ -85,13 +90,12 @@ class Model:
         textures: Textures | None = None,
         threads: int = 0,
     ) -> None:
-        from lodpipe.o3d import RayScene
-
         self.soup: Soup = flatten(asset, meshes)
         self.centre, self.radius = bounding_sphere(self.soup)
         self.positions: F32 = ((self.soup.positions - self.centre) / self.radius).astype(np.float32)
         self.faces = self.soup.faces
-        self.rays = RayScene(self.positions, self.faces, threads)
+        self._threads = threads
+        self._rays: RayScene | None = None
         images = Textures() if textures is None else textures
         self.looks = [_look(material, asset.document, images) for material in (*asset.materials, Material())]
 
@@ -108,7 +112,40 @@ class Model:
         self._attribute("COLOR_0")
         self._corner_normals(np.arange(len(self.faces), dtype=np.int32))
         self.geometric_normals(np.zeros(1, np.int32))
-        self.rays.cast(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+
+    def first_hits(self, camera: Camera, width: int, height: int, rows: slice, behind: F32 | None = None) -> Hits:
+        """What the rays through the pixels of `rows` meet first beyond `behind` (N,) float32, if that is given; it is
+        infinite for rays that have ended. Distances are in radii."""
+        axes = camera.axes
+        eye = (camera.position - self.centre) / self.radius
+        size = camera.height / 2 / self.radius if camera.fov is None else float(np.tan(np.radians(camera.fov / 2)))
+        view = (eye, axes[0], axes[1], -axes[2])
+        hits = raster(
+            self.positions, self.faces, view, size, camera.fov is not None, (height, width), rows, behind=behind
+        )
+        return self._cast(camera, width, height, rows, behind) if hits is None else hits
+
+    def _cast(self, camera: Camera, width: int, height: int, rows: slice, behind: F32 | None) -> Hits:
+        """The same by rays, for a camera inside the model."""
+        from lodpipe.o3d import RayScene
+
+        if self._rays is None:
+            self._rays = RayScene(self.positions, self.faces, self._threads)
+        origins, directions = camera.rays(width, height, rows, self.centre, self.radius)
+        if behind is None:
+            return self._rays.cast(origins, directions)
+        going = np.flatnonzero(np.isfinite(behind))
+        start = origins[going] + directions[going] * behind[going, None]
+        found = self._rays.cast(start, directions[going])
+        hits = Hits(
+            np.full(len(behind), np.inf, np.float32),
+            np.full(len(behind), -1, np.int32),
+            np.zeros((len(behind), 2), np.float32),
+        )
+        hits.distance[going] = found.distance + behind[going]
+        hits.faces[going] = found.faces
+        hits.uv[going] = found.uv
+        return hits
 
     def corners(self, faces: I32) -> F32:
         """(N, 3, 3) float32: the corners of `faces`, about the origin and in radii."""

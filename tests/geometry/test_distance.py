@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from lodpipe.core.asset import Asset, ErrorFigures, Lod
 from lodpipe.core.errors import InvalidMesh
 from lodpipe.core.mesh import Mesh
-from lodpipe.geometry.distance import distance_between, face_sizes, measure_levels, sample_surface, split_slivers
+from lodpipe.geometry.distance import distance_between, doubled_areas, measure_levels, sample_surface
 from lodpipe.geometry.flatten import flatten
-from lodpipe.o3d import RayScene
+from lodpipe.kernel.surfaces import TriangleTree
 from meshes import box, grid, sphere
 
 
@@ -59,7 +59,7 @@ def brute_figures(a, b, samples):
     results = []
     for (positions, faces), other in ((a, b), (b, a)):
         single = positions.astype(np.float32)
-        points, _ = sample_surface(single, faces, face_sizes(single, faces)[0], samples, seed=0)
+        points, _ = sample_surface(single, faces, doubled_areas(single, faces), samples, seed=0)
         distance = brute_distance(points, *other)
         results.append(
             (distance.mean(), np.square(distance).mean(), distance.max(), brute_distance(positions, *other).max())
@@ -187,26 +187,14 @@ def test_slivers_do_not_blur_the_distance():
     half = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0]]), np.array([[0, 1, 2]], np.int32)
     rotated = [(p @ np.linalg.qr(np.array([[1.0, 2, 3], [0, 1, 4], [5, 6, 0]]))[0], f) for p, f in ((fan, faces), half)]
     figures = between(*rotated)
-    assert figures.max < 0.006  # 0.03 without splitting them
-    assert figures.mean < 0.0006  # 0.003
-
-
-def test_pieces_of_slivers_cover_them_and_know_their_face():
-    positions = np.array([[0, 0, 0], [0.5, 0, 0], [0.2, 1e-4, 0], [0, 0.3, 0], [0.1, 0, 0]], np.float32)
-    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], np.int32)  # a sliver, a good one, one without area
-    points, pieces, parents = split_slivers(positions, faces, *face_sizes(positions, faces))
-    assert set(parents) == {0, 1}
-    assert len(pieces) > 10
-    assert face_sizes(points, pieces[parents == 0])[0].sum() == pytest.approx(
-        face_sizes(positions, faces)[0][0], rel=1e-3
-    )
-    assert split_slivers(positions, faces[1:2], *face_sizes(positions, faces[1:2]))[2] is None
+    assert figures.max < 1e-5  # 0.03 in single precision
+    assert figures.mean < 3e-6  # 0.003
 
 
 def test_samples_are_spread_by_area():
     positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [3, 0, 0]], np.float32)
     faces = np.array([[0, 1, 2], [1, 3, 2], [0, 0, 1]], np.int32)
-    points, picked = sample_surface(positions, faces, face_sizes(positions, faces)[0], 3000, seed=1)
+    points, picked = sample_surface(positions, faces, doubled_areas(positions, faces), 3000, seed=1)
     assert np.bincount(picked, minlength=3).tolist() == pytest.approx([1000, 2000, 0], abs=1)
     first = points[picked == 0]
     np.testing.assert_allclose(first.mean(axis=0), [1 / 3, 1 / 3, 0], atol=0.02)
@@ -227,8 +215,10 @@ def test_surfaces_without_area():
 def test_a_few_triangles_get_few_samples(monkeypatch):
     """Inside a fine sphere each of them would take a millisecond."""
     asked = []
-    closest = RayScene.closest
-    monkeypatch.setattr(RayScene, "closest", lambda scene, points: asked.append(len(points)) or closest(scene, points))
+    closest = TriangleTree.closest
+    monkeypatch.setattr(
+        TriangleTree, "closest", lambda tree, points: asked.append(len(points)) or closest(tree, points)
+    )
     figures = between(sphere(4), sphere(0, radius=0.2))
     assert figures.mean > 20
     assert max(asked) == 20_000

@@ -9,7 +9,10 @@
 
 #include "decimate.h"
 #include "fit.h"
+#include "normals.h"
+#include "raster.h"
 #include "similarity/similarity.h"
+#include "triangle_tree.h"
 #include "uv.h"
 
 namespace nb = nanobind;
@@ -233,6 +236,53 @@ nb::dict uv_pack(Table<double> uv, Column<int32_t> chart, int charts, int width,
   return out;
 }
 
+nb::tuple closest(const lodpipe::TriangleTree& tree, Table<float> points, int threads) {
+  const size_t count = points.shape(0);
+  std::vector<double> distance(count), found(3 * count);
+  std::vector<int32_t> face(count);
+  {
+    nb::gil_scoped_release release;
+    tree.closest(points.data(), static_cast<int>(count), threads, distance.data(), found.data(), face.data());
+  }
+  return nb::make_tuple(give(distance, 0), give(found, 3), give(face, 0));
+}
+
+nb::object facing(const lodpipe::TriangleTree& tree, Table<float> points, Table<double> normals, Column<double> reach,
+                  int threads) {
+  std::vector<int32_t> face(points.shape(0));
+  {
+    nb::gil_scoped_release release;
+    tree.facing(points.data(), normals.data(), reach.data(), static_cast<int>(face.size()), threads, face.data());
+  }
+  return give(face, 0);
+}
+
+nb::object crease_normals(Table<double> positions, Table<int32_t> faces, double least, int threads) {
+  std::vector<float> normals(9 * faces.shape(0));
+  {
+    nb::gil_scoped_release release;
+    lodpipe::crease_normals(positions.data(), static_cast<int>(positions.shape(0)), faces.data(),
+                            static_cast<int>(faces.shape(0)), least, threads, normals.data());
+  }
+  return give(normals, 9);
+}
+
+// view: eye, right, up and ahead in rows of three, then size.
+nb::object raster(Table<float> positions, Table<int32_t> faces, Column<double> view, bool perspective, int width,
+                  int height, int top, int bottom, std::optional<Column<float>> behind) {
+  lodpipe::RasterView as{{}, {}, {}, {}, view.data()[12], perspective, width, height, top, bottom};
+  double* const parts[4] = {as.eye, as.right, as.up, as.ahead};
+  for (int i = 0; i < 4; ++i) std::copy_n(view.data() + 3 * i, 3, parts[i]);
+  lodpipe::Raster found;
+  {
+    nb::gil_scoped_release release;
+    found = lodpipe::raster(positions.data(), static_cast<int>(positions.shape(0)), faces.data(),
+                            static_cast<int>(faces.shape(0)), as, behind ? behind->data() : nullptr);
+  }
+  if (!found.complete) return nb::none();
+  return nb::make_tuple(give(found.distance, 0), give(found.face, 0), give(found.uv, 2));
+}
+
 namespace similar = lodpipe::similarity;
 using Texels = nb::ndarray<const uint8_t, nb::numpy, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
@@ -346,6 +396,19 @@ NB_MODULE(_native, m) {
       .def_rw("threads", &Options::threads)
       .def_rw("record", &Options::record)
       .def_rw("follow", &Options::follow);
+  m.def("crease_normals", &crease_normals, "positions"_a.noconvert(), "faces"_a.noconvert(), "least"_a, "threads"_a);
+  m.def("raster", &raster, "positions"_a.noconvert(), "faces"_a.noconvert(), "view"_a.noconvert(), "perspective"_a,
+        "width"_a, "height"_a, "top"_a, "bottom"_a, "behind"_a.noconvert().none());
+  using lodpipe::TriangleTree;
+  nb::class_<TriangleTree>(m, "TriangleTree")
+      .def("__init__",
+           [](TriangleTree* tree, Table<float> positions, Table<int32_t> faces) {
+             nb::gil_scoped_release release;
+             new (tree) TriangleTree(positions.data(), faces.data(), static_cast<int>(faces.shape(0)));
+           },
+           "positions"_a.noconvert(), "faces"_a.noconvert())
+      .def("closest", &closest, "points"_a.noconvert(), "threads"_a)
+      .def("facing", &facing, "points"_a.noconvert(), "normals"_a.noconvert(), "reach"_a.noconvert(), "threads"_a);
   using lodpipe::FitOptions;
   nb::class_<FitOptions>(m, "FitOptions")
       .def(nb::init<>())
