@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import configparser
 import json
+import logging
 import re
 import socket
+import sqlite3
 import sys
 import threading
+import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from io import StringIO
 from pathlib import Path
@@ -23,6 +26,7 @@ from lodpipe.reporting.table import Style
 from lodpipe.service import control, hooks
 from lodpipe.service.executors import find_executor
 from lodpipe.service.notify import notify, watchdog_seconds
+from lodpipe.service.pool import process_start
 from lodpipe.service.table import JobTable
 
 REPO = Path(__file__).parents[1]
@@ -88,8 +92,47 @@ def test_a_hook_gets_names_as_data_and_no_shell_sees_them(tmp_path):
     bad = Hook(command=(sys.executable, "-c", "import sys; sys.exit('no such channel')"))
     assert hooks.call(bad, {"event": "done"}) == f"{sys.executable} ended with 1 no such channel"
     slow = Hook(command=(sys.executable, "-c", "input(); import time; time.sleep(60)"), timeout_s=0.5)
-    assert "timed out" in hooks.call(slow, {"event": "done"})
+    assert "took longer than 0.5 s" in hooks.call(slow, {"event": "done"})
     assert "No such file" in hooks.call(Hook(command=("/no/such/program",)), {"event": "done"})
+
+
+def test_a_hook_over_its_time_is_ended_with_all_that_it_has_started(tmp_path):
+    program = (
+        "import os, subprocess, time;"
+        f" child = subprocess.Popen(['sleep', '60']); print(child.pid, file=open({str(tmp_path / 'pid')!r}, 'w'));"
+        " time.sleep(60)"
+    )
+    slow = Hook(command=(sys.executable, "-c", program), timeout_s=1.5)
+    assert "took longer" in hooks.call(slow, {"event": "done"})
+    end = time.monotonic() + 20
+    while process_start(int((tmp_path / "pid").read_text())):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_hooks_survive_a_full_disk(tmp_path, monkeypatch):
+    world = World(tmp_path, on_done={"command": ["true"]})
+    write_obj(world.drop / "a.obj")
+    world.work()
+    made, trouble = threading.Event(), [sqlite3.OperationalError("database or disk is full")] * 2
+    try_call = JobTable.try_call
+
+    def full(self, number):
+        if trouble:
+            raise trouble.pop()
+        try_call(self, number)
+
+    monkeypatch.setattr(JobTable, "try_call", full)
+    monkeypatch.setattr(hooks, "call", lambda hook, said: made.set() or "")
+    monkeypatch.setattr(hooks, "PAUSE_SECONDS", 0.01)
+    said = StringIO()
+    log = logging.Logger("test")
+    log.addHandler(logging.StreamHandler(said))
+    runner = hooks.Hooks(world.output.state, world.daemon.watch, log)
+    assert made.wait(20)
+    runner.close()
+    assert "hooks wait: database or disk is full" in said.getvalue()
+    assert world.table.calls() == []
 
 
 def test_a_webhook_gets_json(monkeypatch):
@@ -128,8 +171,6 @@ def test_hooks_are_called_after_a_crash_too_and_given_up_after_three_times(tmp_p
     made = []
     monkeypatch.setattr(hooks, "call", lambda hook, said: made.append(said["asset"]) or "it fails")
     monkeypatch.setattr(hooks, "PAUSE_SECONDS", 0.01)
-    import logging
-
     runner = hooks.Hooks(world.output.state, world.daemon.watch, logging.getLogger("test"))
     runner.look()
     end = threading.Event()

@@ -43,6 +43,9 @@ class Watch(Part):
 
     settle_s: Seconds = 2.0
     """How long all files of an asset must have stayed the same before it is taken."""
+    closed_s: Seconds = 0.5
+    """The same where a file event has told that its writer has closed it, or has renamed it to its name, since it last
+    changed; never longer than `settle_s`."""
     rescan_s: Annotated[float, Field(gt=0)] = 60.0
     """Longest time between two looks at the whole folder, whatever events say."""
     events: Literal["auto", "on", "off"] = "auto"

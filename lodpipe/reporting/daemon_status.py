@@ -26,6 +26,8 @@ def status_lines(status: Status, style: Style, *, every: bool = False) -> list[s
         )
     if status["requests"] and not status["running"]:
         lines.append("  what was asked for is done when the daemon is started")
+    for folder, why in list(status["left_out"].items())[:LATEST]:
+        lines.append(style(f"  {clean(folder)}: {clean(why)}", "yellow"))
     counts = ", ".join(f"{count} {state}" for state, count in status["counts"].items() if count)
     lines.append(f"  {counts or 'no assets yet'}")
     shown = [asset for asset in status["assets"] if asset["state"] in _SHOWN]
@@ -51,6 +53,7 @@ def metrics_text(status: Status, memory_bytes: int) -> str:
         ("lodpipe_work_seconds_total", "counter", "Time spent on published results.", [("", totals["seconds"])]),
         ("lodpipe_paused", "gauge", "1 while paused.", [("", int(status["paused"]))]),
         ("lodpipe_trouble", "gauge", "1 while the watched folder is gone.", [("", int(bool(status["problem"])))]),
+        ("lodpipe_folders_left_out", "gauge", "Folders that are not looked into.", [("", len(status["left_out"]))]),
         (
             "lodpipe_config_invalid",
             "gauge",

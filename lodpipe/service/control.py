@@ -46,6 +46,7 @@ def status(state: Path, *, every: bool = False) -> dict[str, Any]:
         "config": facts.get("config", ""),
         "config_problem": facts.get("config_problem", ""),
         "problem": facts.get("problem", ""),
+        "left_out": facts.get("left_out", {}),
         "started": facts.get("started", 0.0),
         "address": facts.get("address", ""),
         "counts": counts,

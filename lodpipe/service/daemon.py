@@ -24,7 +24,7 @@ from lodpipe.service.clock import Clock
 from lodpipe.service.discover import Found
 from lodpipe.service.executors import Executor
 from lodpipe.service.intake import Order, Taken, take_in
-from lodpipe.service.job import AGAIN, INPUT, PASSING, Failure, Job, Outcome, fail
+from lodpipe.service.job import AGAIN, INPUT, PASSING, Failure, Job, Outcome, fail, published_outcome
 from lodpipe.service.ledger import LONGEST_PAUSE, Ledger, about
 from lodpipe.service.lookout import Lookout
 from lodpipe.service.pool import process_start
@@ -56,6 +56,7 @@ PROGRESS_SECONDS = 1.0
 DEATHS = 3
 """How often, for each attempt that an asset has, the daemon itself may die with it before it counts as poison."""
 NEVER = float("inf")
+INTERRUPTED = "interrupted"
 
 Submit = Callable[[Callable[[], Taken], Callable[[Taken], None]], None]
 """Runs the first, perhaps in a thread, and gives what it returns to the second."""
@@ -99,9 +100,12 @@ class Daemon:
 
     # --- what others tell it, from any thread
 
-    def dirty(self, folder: str | None) -> None:
-        """Something has changed in a folder, relative to the watched one; None: nobody knows where."""
-        self._lookout.tell(folder)
+    def dirty(self, folder: str | None, name: str = "", closed: bool = False) -> None:
+        """Something has changed in a folder, relative to the watched one; None: nobody knows where.
+
+        Of the file `name` in it, whether its writer has `closed` it.
+        """
+        self._lookout.tell(folder, name, closed)
 
     def progress(self, key: str, step: int, stage: str, share: float) -> None:
         """A job is on its way."""
@@ -183,7 +187,7 @@ class Daemon:
         """Whether, without new files, nothing more will be done."""
         return not self.busy and not any(
             row.state in (SETTLING, WAITING, RUNNING) or (row.state == QUEUED and row.trouble < 3 and not self.paused)
-            for row in self._ledger.rows.values()
+            for row in self._ledger.open.values()
         )
 
     def stop_jobs(self) -> None:
@@ -202,7 +206,7 @@ class Daemon:
         self._ledger.load()
         for row in self._ledger.rows.values():
             if row.state == RUNNING and row.key not in self._running:
-                self._ledger.set(row, QUEUED, reason="interrupted")
+                self._ledger.set(row, QUEUED, reason=INTERRUPTED)
                 if row.attempts >= DEATHS * self.watch.attempts:
                     cause = f"the daemon has died {row.attempts} times while it was processed"
                     self._quarantine(
@@ -257,8 +261,8 @@ class Daemon:
             return
         if row.state in AT_REST or row.state == GONE:
             self._ledger.set(row, SETTLING, reason=self._why(row, now), disposed=0)
-        if now < seen.since + self.watch.settle_s:
-            self._due[key] = seen.since + self.watch.settle_s
+        if now < (quiet := seen.rests(self.watch.settle_s, self.watch.closed_s)):
+            self._due[key] = quiet
             if row.state != SETTLING:
                 self._ledger.set(row, SETTLING, message="", missing=[])
             if self.executor:
@@ -274,7 +278,8 @@ class Daemon:
             else:
                 members[name] = (member, length)
         wait_s = 0.0 if self.once else self.watch.wait_s
-        verdict = judge(seen, members, missing, now, settle_s=self.watch.settle_s, wait_s=wait_s)
+        watch = self.watch
+        verdict = judge(seen, members, missing, now, settle_s=watch.settle_s, closed_s=watch.closed_s, wait_s=wait_s)
         signature: dict[str, list[int] | None] = {member_path(key, name): None for name in (*needs.wanted, *missing)}
         signature |= {member_path(key, name): list(member.signature) for name, (member, _) in members.items()}
         signature[key] = list(seen.signature)
@@ -357,7 +362,7 @@ class Daemon:
     def _next_try(self) -> float:
         """When a queued asset that was put off is due, as monotonic time."""
         now = self.clock.time()
-        ahead = [_ahead(row, now) for row in self._ledger.rows.values() if row.state == QUEUED]
+        ahead = [_ahead(row, now) for row in self._ledger.open.values() if row.state == QUEUED]
         return self.clock.monotonic() + min(filter(None, ahead), default=NEVER)
 
     def _dispatch(self) -> None:
@@ -366,7 +371,7 @@ class Daemon:
         for key in [*self._ready]:
             if len(self._running) < self._executor.slots:
                 self._start(self._ready.pop(key))
-        queued = [row for row in self._ledger.rows.values() if row.state == QUEUED]
+        queued = [row for row in self._ledger.open.values() if row.state == QUEUED]
         if not queued:
             if not self.busy and not self._due:
                 self._executor.rest()
@@ -415,6 +420,11 @@ class Daemon:
                 kind = type(taken.error).__name__
                 failure = Failure("load", taken.error.cause, place, taken.error.advice, kind)
                 self._quarantine(row, failure, content="", failed="")
+        elif self._has_published(row, taken):
+            taken.release()
+            outcome = published_outcome(self._job(row, ""))
+            row.seconds = outcome.seconds
+            self._succeed(row, outcome)
         elif not row.force and taken.current:
             self._rest(row, taken, DONE, "unchanged", revision=max(1, row.revision), same_as="")
         elif not row.force and row.failed == taken.content:
@@ -451,6 +461,7 @@ class Daemon:
         taken.release()
         self.output.forget_failure(PurePosixPath(row.place))
         self._ledger.current(row, state, text, content=taken.content, recipe=taken.order.recipe.id, **facts)
+        self._sight.forget(row.key)
         self._dispose(row)
 
     def _start(self, taken: Taken) -> None:
@@ -502,18 +513,18 @@ class Daemon:
             return
         taken, begin = self._running.pop(key)
         self._noted.pop(key, None)
-        taken.release()
         row = self._ledger.rows[key]
         row.seconds = self.clock.monotonic() - begin
+        if outcome is not None and outcome.nature == AGAIN and taken.snapshot and not row.force:
+            # it may have died between publishing and saying so
+            place = self.output.root / row.place
+            taken.current = manifest.current(place, taken.snapshot.path, taken.order.recipe)
+            outcome = published_outcome(self._job(row, "")) if self._has_published(row, taken) else outcome
+        taken.release()
         if outcome is None:
-            self._ledger.set(row, QUEUED, attempts=row.attempts - 1, reason="interrupted")
+            self._ledger.set(row, QUEUED, attempts=row.attempts - 1, reason=INTERRUPTED)
         elif outcome.outcome not in ("failed", "bug"):
-            self._ledger.published(row, outcome)
-            for other in self._ledger.rows.values():  # what counted as the same is not any more
-                if other.state == SAME and other.same_as == row.place and other.content != row.content:
-                    self._ledger.set(other, SETTLING, recipe="", reason=f"{row.place} has another content now")
-                    self._due[other.key] = 0.0
-            self._dispose(row)
+            self._succeed(row, outcome)
         elif outcome.nature == PASSING:
             row.attempts -= 1
             self._ledger.put_off(row, outcome.message)
@@ -526,6 +537,23 @@ class Daemon:
             self._vanished(row)
         else:
             self._judge(key, self.clock.monotonic())
+
+    @staticmethod
+    def _has_published(row: Row, taken: Taken) -> bool:
+        """Whether a job of the asset has published, and then something ended it before it could say so."""
+        begun = row.attempts > 0 or row.reason == INTERRUPTED
+        return bool(taken.current) and begun and not row.force and row.content == taken.content
+
+    def _succeed(self, row: Row, outcome: Outcome) -> None:
+        """A result has been published."""
+        self.output.forget_failure(PurePosixPath(row.place))
+        self._ledger.published(row, outcome)
+        for other in self._ledger.rows.values():  # what counted as the same is not any more
+            if other.state == SAME and other.same_as == row.place and other.content != row.content:
+                self._ledger.set(other, SETTLING, recipe="", reason=f"{row.place} has another content now")
+                self._due[other.key] = 0.0
+        self._sight.forget(row.key)
+        self._dispose(row)
 
     def _dispose(self, row: Row) -> None:
         """After success: what `on_success` asks, once the published result has been verified."""

@@ -17,6 +17,9 @@ from lodpipe.io.paths import stem
 STATE = ".lodpipe"
 """The folder in an output folder that marks it as one: temporary folders, the daemon's state."""
 
+NAME_BYTES = 180
+"""Longest name of a result: with `_LOD0`, the name of a texture and an ending it still has to be one (255 bytes)."""
+
 
 @dataclass(frozen=True)
 class Found:
@@ -151,6 +154,8 @@ def _named(wanted: list[tuple[Path, str]]) -> list[Found]:
 def _choices(path: Path) -> Iterator[str]:
     """Names for the output of a file, the best first."""
     name = stem(path).rstrip(". ") or "asset"
+    while len(os.fsencode(name)) > NAME_BYTES:
+        name = name[:-1].rstrip(". ")
     name = f"_{name[1:]}" if name.startswith(".") else name
     yield name
     yield f"{name}_{_format(path)}"

@@ -5,10 +5,14 @@ Calls wait in the job table until they have been made, so that a crash of the da
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
+import signal
+import sqlite3
 import subprocess
+import tempfile
 import threading
 import urllib.request
 from collections.abc import Mapping
@@ -16,10 +20,12 @@ from pathlib import Path
 from typing import Any
 
 from lodpipe.config.watch import Hook, Watch
+from lodpipe.core.errors import LodpipeError
 from lodpipe.service.table import JobTable
 
 TRIES = 3
 PAUSE_SECONDS = 5.0
+TAIL_BYTES = 4096
 
 
 class Hooks:
@@ -43,23 +49,35 @@ class Hooks:
         self._thread.join(timeout=10)
 
     def _run(self) -> None:
-        table = JobTable(self._state)
         while not self._stop.is_set():
-            again = False
-            for number, tried, data in table.calls():
-                if self._stop.is_set():
-                    break
-                problem = call(self.watch.on_done if data["event"] == "done" else self.watch.on_failed, data)
-                if problem and tried + 1 < TRIES:
-                    table.try_call(number)
-                    again = True
-                else:
-                    table.end_call(number)
-                if problem:
-                    self._log.warning("hook for %s: %s", data["asset"], problem, extra={"asset": data["asset"]})
-            self._wake.wait(PAUSE_SECONDS if again else None)
-            self._wake.clear()
-        table.close()
+            try:
+                table = JobTable(self._state)
+                try:
+                    while not self._stop.is_set():
+                        again = self._make_calls(table)
+                        self._wake.wait(PAUSE_SECONDS if again else None)
+                        self._wake.clear()
+                finally:
+                    table.close()
+            except (sqlite3.Error, LodpipeError) as error:  # a full disk: what waits is made when there is space
+                self._log.warning("hooks wait: %s", error)
+                self._stop.wait(PAUSE_SECONDS)
+
+    def _make_calls(self, table: JobTable) -> bool:
+        """Make the calls that wait; whether some must be made again."""
+        again = False
+        for number, tried, data in table.calls():
+            if self._stop.is_set():
+                break
+            table.try_call(number)
+            problem = call(self.watch.on_done if data["event"] == "done" else self.watch.on_failed, data)
+            if problem and tried + 1 < TRIES:
+                again = True
+            else:
+                table.end_call(number)
+            if problem:
+                self._log.warning("hook for %s: %s", data["asset"], problem, extra={"asset": data["asset"]})
+        return again
 
 
 def call(hook: Hook, data: Mapping[str, Any]) -> str:
@@ -69,21 +87,8 @@ def call(hook: Hook, data: Mapping[str, Any]) -> str:
     if hook.command:
         names = {f"LODPIPE_{name.upper()}": str(value) for name, value in data.items()}
         try:
-            done = subprocess.run(
-                list(hook.command),
-                input=text,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=hook.timeout_s,
-                env={**os.environ, **names},
-                check=False,
-                start_new_session=True,
-            )
-            if done.returncode:
-                last = (done.stderr.strip().splitlines() or [""])[-1]
-                problem = f"{hook.command[0]} ended with {done.returncode} {last}".strip()
-        except (OSError, ValueError, subprocess.TimeoutExpired) as error:
+            problem = _run_command(hook, text, {**os.environ, **names})
+        except (OSError, ValueError) as error:
             problem = f"{hook.command[0]}: {error}"
     if hook.webhook:
         request = urllib.request.Request(hook.webhook, text.encode(), {"Content-Type": "application/json"})
@@ -93,3 +98,30 @@ def call(hook: Hook, data: Mapping[str, Any]) -> str:
         except (OSError, ValueError) as error:
             problem = f"{problem}; {hook.webhook}: {error}".removeprefix("; ")
     return problem
+
+
+def _run_command(hook: Hook, text: str, environment: Mapping[str, str]) -> str:
+    """Run the program; what went wrong. Over its time, it is ended with all that it has started."""
+    with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as stderr:
+        stdin.write(text.encode("ascii"))
+        stdin.seek(0)
+        process = subprocess.Popen(
+            list(hook.command),
+            stdin=stdin,
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            env=environment,
+            start_new_session=True,
+        )
+        try:
+            code = process.wait(hook.timeout_s)
+        except subprocess.TimeoutExpired:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            return f"{hook.command[0]} took longer than {hook.timeout_s:g} s"
+        if not code:
+            return ""
+        stderr.seek(max(0, stderr.seek(0, os.SEEK_END) - TAIL_BYTES))
+        said = stderr.read().decode("utf-8", "replace").strip().splitlines()
+        return f"{hook.command[0]} ended with {code} {said[-1] if said else ''}".strip()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import json
 import logging
 import platform
 import time
@@ -18,7 +19,7 @@ from lodpipe import io
 from lodpipe.config.model import Limits
 from lodpipe.config.source import Source
 from lodpipe.core.asset import Asset
-from lodpipe.core.errors import LimitError, LodpipeError
+from lodpipe.core.errors import LimitError, LodpipeError, OutputError
 from lodpipe.core.report import SCHEMA_VERSION, Report
 from lodpipe.pipeline import Pipeline, StageFailed
 from lodpipe.plugins import find_stages
@@ -41,8 +42,10 @@ INPUT, AGAIN, PASSING = "input", "again", "passing"
 and trouble of the machine that goes away by itself (no space, busy, a share that is gone)."""
 
 _PASSING_ERRORS = """ENOSPC EDQUOT EBUSY EIO ESTALE EAGAIN EMFILE ENFILE ETXTBSY ETIMEDOUT ENOTCONN EHOSTDOWN
-    EHOSTUNREACH ENETDOWN ENETUNREACH EREMOTEIO ENOLCK"""
+    EHOSTUNREACH ENETDOWN ENETUNREACH EREMOTEIO ENOLCK EROFS"""
 PASSING_ERRORS = frozenset(getattr(errno, name) for name in _PASSING_ERRORS.split() if hasattr(errno, name))
+RIGHTS = frozenset((errno.EACCES, errno.EPERM))
+"""Where results go, these are the machine's fault, not the asset's."""
 
 JobProgress = Callable[[int, str, float], None]
 """Called with the number of stages begun, the name of what is being done, and the share of it that is done."""
@@ -166,6 +169,16 @@ def fail(job: Job, output: Output, failure: Failure, report: Report | None = Non
     return Outcome(job.path, str(job.place), word, str(folder), failure.message, nature=failure.nature)
 
 
+def published_outcome(job: Job) -> Outcome:
+    """The outcome of a job that has published its result and could not say so any more."""
+    folder = Path(job.output) / job.place
+    try:
+        report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        return Outcome(job.path, str(job.place), report["outcome"], str(folder), "", report["seconds"], report=report)
+    except (OSError, ValueError, KeyError, TypeError):  # the chain makes no report, or another one
+        return Outcome(job.path, str(job.place), "ok", str(folder))
+
+
 @dataclass(frozen=True)
 class Failure:
     """Why a job failed, for people and programs."""
@@ -220,8 +233,9 @@ def nature_of(error: BaseException | None) -> str:
     if isinstance(error, TooSlow):
         return AGAIN
     seen: list[BaseException] = []
+    passing = PASSING_ERRORS | RIGHTS if isinstance(error, OutputError) else PASSING_ERRORS
     while error is not None and error not in seen:  # `raise error from error` makes a circle
-        if isinstance(error, OSError) and error.errno in PASSING_ERRORS:
+        if isinstance(error, OSError) and error.errno in passing:
             return PASSING
         seen.append(error)
         error = error.__cause__ or error.__context__

@@ -10,7 +10,7 @@ from lodpipe.config.watch import Watch
 from lodpipe.service.clock import Clock
 from lodpipe.service.discover import Places
 from lodpipe.service.job import Outcome
-from lodpipe.service.table import DONE, FAILED, QUEUED, RUNNING, SETTLING, JobTable, Row
+from lodpipe.service.table import AT_REST, DONE, FAILED, GONE, QUEUED, RUNNING, SETTLING, JobTable, Row
 
 FIRST_PAUSE, LONGEST_PAUSE = 2.0, 60.0
 """Seconds until what met passing trouble is tried again: doubled each time, up to the longest."""
@@ -24,6 +24,8 @@ class Ledger:
         self.root, self.output = root, output
         self.watch = Watch()
         self.rows: dict[str, Row] = {}
+        self.open: dict[str, Row] = {}
+        """Those of them that are not at rest: most of the time few of many."""
         self.outcomes = 0
         """How often the output folder has changed since the start: results, records of failures, and their end."""
         self.load()
@@ -31,6 +33,7 @@ class Ledger:
     def load(self) -> None:
         """Take from the table what is known."""
         self.rows = {row.key: row for row in self.table.rows()}
+        self.open = {key: row for key, row in self.rows.items() if row.state not in (*AT_REST, GONE)}
         self._places = Places(row.place for row in self.rows.values())
 
     def new(self, key: str) -> Row:
@@ -45,6 +48,7 @@ class Ledger:
         self.table.delete(row.key)
         self._places.free(row.place)
         del self.rows[row.key]
+        self.open.pop(row.key, None)
 
     def set(self, row: Row, state: str, **values: Any) -> None:
         """Change a row, in memory and in the table."""
@@ -55,6 +59,10 @@ class Ledger:
         row.state = state
         for name, value in values.items():
             setattr(row, name, value)
+        if state in AT_REST or state == GONE:
+            self.open.pop(row.key, None)
+        else:
+            self.open[row.key] = row
         self.table.put(row)
 
     def forgive(self, bounds: Any) -> None:

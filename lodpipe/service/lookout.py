@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 from collections.abc import Callable
 
@@ -26,19 +27,25 @@ class Lookout:
         self._guard, self._table, self._clock, self._wake, self._log = guard, table, clock, wake, log
         self._lock = threading.Lock()
         self._dirty: set[str] = set()
+        self._closed: dict[str, bool] = {}
         self._everything = True
+        self._left_out: dict[str, str] = {}
         self._last = 0.0
         self._spread = 1.0
 
-    def tell(self, folder: str | None) -> None:
-        """Something has changed in a folder, relative to the watched one; None: nobody knows where. From any thread."""
+    def tell(self, folder: str | None, name: str = "", closed: bool = False) -> None:
+        """Something has changed in a folder, relative to the watched one; None: nobody knows where. From any thread.
+
+        With the `name` of a file in it: whether its writer has `closed` it. The last word before a look counts.
+        """
         with self._lock:
             if folder is None:
                 self._everything = True
-            elif folder in self._dirty:
-                return
+                self._closed.clear()  # what has been told may not have been all
             else:
                 self._dirty.add(folder)
+                if name:
+                    self._closed[f"{folder}/{name}" if folder else name] = closed
         self._wake()
 
     def accept(self) -> None:
@@ -55,6 +62,7 @@ class Lookout:
         with self._lock:
             full = self._everything or now >= self.due(watch)
             dirty, self._dirty, self._everything = self._dirty, set(), False
+            closed, self._closed = self._closed, {}
         if not full and not dirty:
             return False
         if full:
@@ -63,6 +71,8 @@ class Lookout:
         if not problem:
             try:
                 changed = tree.scan(now, None if full else dirty)
+                changed |= any([tree.mark(path, yes) for path, yes in closed.items()])  # noqa: C419 each of them
+                self._tell_left_out(tree)
             except RootGone as error:
                 problem = f"the watched folder cannot be listed ({error}); waiting for it to come back"
         if problem != self.problem:
@@ -71,3 +81,19 @@ class Lookout:
             self._log.warning("%s", problem or "the watched folder is there again")
             self._everything = True
         return (changed or full) and not problem
+
+    def _tell_left_out(self, tree: Tree) -> None:
+        """Say, in the log and for `status`, which folders are not looked into."""
+        if tree.problems == self._left_out:
+            return
+        for folder, why in tree.problems.items():
+            if self._left_out.get(folder) != why:
+                self._log.warning("%s: %s; what is in it is not seen", folder, why)
+        for folder in self._left_out.keys() - tree.problems.keys():
+            self._log.info("%s: it is looked into, or gone", folder)
+        self._left_out = dict(tree.problems)
+        self._table.set_facts(left_out={_readable(folder): why for folder, why in self._left_out.items()})
+
+
+def _readable(folder: str) -> str:
+    return os.fsencode(folder).decode("utf-8", "backslashreplace")

@@ -25,6 +25,8 @@ from lodpipe.service.recipe import module_environment
 
 GRACE_SECONDS = 5.0
 """What a worker that is over its time gets to notice that itself."""
+TERM_SECONDS = 2.0
+"""What it, and the programs that it has started, get to end by themselves when they are asked to."""
 LOOK_SECONDS = 1.0
 """Between two looks at a worker's memory."""
 BASE_GB = 0.5
@@ -208,7 +210,11 @@ class Worker:
             self.close()
 
     def kill(self) -> None:
-        """End the process and all that it has started, and wait for it."""
+        """End the process and all that it has started: ask (SIGTERM), wait a little, make sure (SIGKILL)."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGTERM)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(TERM_SECONDS)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import uuid
 from pathlib import Path
 
@@ -49,19 +50,30 @@ class RootGuard:
         self.table.set_facts(root_id=None)
 
     def _settle(self, device: list[int], known: str | None = None) -> None:
-        name = known or uuid.uuid4().hex
-        marked = self._marker() == name
+        there = self._marker()
+        name = known or there or uuid.uuid4().hex  # another daemon may watch the same folder, for another output
+        marked = there == name
         if not marked:
             with contextlib.suppress(OSError):  # a folder that may only be read
-                (self.root / MARKER).write_text(name + "\n", encoding="ascii")
+                with os.fdopen(self._open(os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "w", encoding="ascii") as file:
+                    file.write(name + "\n")
                 marked = True
         self.table.set_facts(root_id=name, root_device=device, root_marked=marked)
 
     def _marker(self) -> str:
         try:
-            return (self.root / MARKER).read_text(encoding="ascii").strip()
+            with os.fdopen(self._open(os.O_RDONLY), encoding="ascii") as file:
+                return file.read(100).strip()
         except (OSError, ValueError):
             return ""
+
+    def _open(self, how: int) -> int:
+        """The marker's descriptor. Whoever may drop files may have put a link or a pipe of that name there."""
+        handle = os.open(self.root / MARKER, how | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            os.close(handle)
+            raise OSError("it is not a regular file")
+        return handle
 
     def _empty(self) -> bool:
         try:

@@ -6,7 +6,7 @@ import errno
 import fnmatch
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -35,7 +35,8 @@ class Tree:
     """Globs, matched with names and with paths relative to `root`."""
     folders: dict[str, dict[str, Seen]] = field(default_factory=dict)
     problems: dict[str, str] = field(default_factory=dict)
-    """Folders that could not be listed, and why; what was known of them stays known."""
+    """Folders that are not looked into, and why: links to folders, and those that could not be listed. What was known
+    of the latter stays known."""
 
     def scan(self, now: float, dirty: Iterable[str] | None = None) -> bool:
         """List all, or the `dirty` folders and what is new below them; whether anything has changed.
@@ -48,7 +49,7 @@ class Tree:
         self.problems = {} if dirty is None else dict(old_problems)
         try:
             for folder in [""] if dirty is None else sorted({_known(folder, before) for folder in dirty}):
-                self._list(folder, before, now, deep=dirty is None)
+                self._list(folder, before, now, deep=dirty is None, again=old_problems)
         except RootGone:
             self.folders, self.problems = before, old_problems
             raise
@@ -59,6 +60,15 @@ class Tree:
         folder, _, name = path.rpartition("/")
         return self.folders.get(folder, {}).get(name)
 
+    def mark(self, path: str, closed: bool) -> bool:
+        """Note whether a file's writer is through with it as it was listed last; whether that is news."""
+        folder, _, name = path.rpartition("/")
+        seen = self.folders.get(folder, {}).get(name)
+        if seen is None or seen.closed == closed:
+            return False
+        self.folders[folder][name] = seen._replace(closed=closed)
+        return True
+
     def __iter__(self) -> Iterator[str]:
         """The paths of all files, in order."""
         for folder in sorted(self.folders):
@@ -68,13 +78,16 @@ class Tree:
         patterns = [fnmatch.translate(pattern) for pattern in (*JUNK, *self.ignore)]
         self._ignored = re.compile("|".join(patterns)).match
 
-    def _list(self, folder: str, before: dict[str, dict[str, Seen]], now: float, *, deep: bool) -> None:
-        """List a folder, and the folders in it that are new; all of them if `deep`."""
+    def _list(
+        self, folder: str, before: dict[str, dict[str, Seen]], now: float, *, deep: bool, again: Container[str]
+    ) -> None:
+        """List a folder, and the folders in it that are new or are to be tried `again`; all of them if `deep`."""
         todo = [folder]
         while todo:
             here = todo.pop()
             known = before.get(here, {})
-            self.problems.pop(here, None)
+            for path in [path for path in self.problems if path == here or _parent(path) == here]:
+                del self.problems[path]
             try:
                 files, below = self._entries(here, known, now)
             except OSError as error:
@@ -89,7 +102,7 @@ class Tree:
             self.folders[here] = files
             for gone in {f for f in self.folders if _parent(f) == here and f} - set(below):
                 self._drop(gone)
-            todo += [path for path in below if deep or path not in before]
+            todo += [path for path in below if deep or path not in before or path in again]
 
     def _entries(self, here: str, known: dict[str, Seen], now: float) -> tuple[dict[str, Seen], list[str]]:
         files: dict[str, Seen] = {}
@@ -107,6 +120,8 @@ class Tree:
                         status = entry.stat()
                         signature = Signature(status.st_size, status.st_mtime_ns, status.st_ino)
                         files[entry.name] = note(known.get(entry.name), signature, now)
+                    elif entry.is_dir():
+                        self.problems[path] = "it is a link to a folder, and links to folders are not followed"
                 except OSError:
                     if entry.name in known:
                         files[entry.name] = known[entry.name]

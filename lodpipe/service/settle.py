@@ -20,6 +20,12 @@ class Seen(NamedTuple):
 
     signature: Signature
     since: float
+    closed: bool = False
+    """Whether its writer is known to be through with it as it is."""
+
+    def rests(self, settle_s: float, closed_s: float) -> float:
+        """When it has been quiet for long enough."""
+        return self.since + (min(closed_s, settle_s) if self.closed else settle_s)
 
 
 @dataclass(frozen=True)
@@ -46,15 +52,17 @@ def judge(
     now: float,
     *,
     settle_s: float,
+    closed_s: float,
     wait_s: float,
 ) -> Verdict:
     """The verdict on an asset of a file `main` and `members` (each with the bytes that it must have at least).
 
-    1. No member may have changed for `settle_s`; a file that appears counts as changed.
+    1. No member may have changed for `settle_s`, or for `closed_s` if its writer is through; a file that appears
+       counts as changed.
     2. All members must be there, and each be as long as the asset says; else the asset waits for them.
     3. After `wait_s` without any change it is given up.
     """
-    quiet_since = max([main.since, *(seen.since for seen, _ in members.values())])
+    files = [main, *(seen for seen, _ in members.values())]
     short = [
         f"{name} ({seen.signature.size:,} of {length:,} bytes)"
         for name, (seen, length) in members.items()
@@ -62,7 +70,7 @@ def judge(
     ]
     absent = (*missing, *short)
     if absent:
-        over = quiet_since + max(wait_s, settle_s)
+        over = max(seen.since for seen in files) + max(wait_s, settle_s)
         return Verdict(False, over, absent, given_up=now >= over)
-    over = quiet_since + settle_s
+    over = max(seen.rests(settle_s, closed_s) for seen in files)
     return Verdict(now >= over, over)

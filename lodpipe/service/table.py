@@ -32,7 +32,7 @@ _PATHS = ("key", "place", "same_as")
 _DATA = ("signature", "missing", "members")
 
 
-@dataclass
+@dataclass(slots=True)
 class Row:
     """One asset. `key` is its path below the watched folder, `place` that of its result below the output folder."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import signal
@@ -25,7 +26,7 @@ from lodpipe.service.hooks import Hooks
 from lodpipe.service.http import StatusServer
 from lodpipe.service.index import Index
 from lodpipe.service.intake import Taken
-from lodpipe.service.lock import take_lock
+from lodpipe.service.lock import NoLocks, take_lock
 from lodpipe.service.notify import notify, watchdog_seconds
 from lodpipe.service.pool import end_orphan
 from lodpipe.service.publish import Output
@@ -97,8 +98,13 @@ def watch(request: Request, log: logging.Logger) -> int:
         state.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot be made ({error.strerror})", place=str(state)) from error
-    lock = take_lock(state)
-    try:
+    with contextlib.ExitStack() as held:
+        held.callback(os.close, take_lock(state))
+        if not state.samefile(output.state):  # two daemons with two job tables would replace each other's results
+            try:
+                held.callback(os.close, take_lock(output.state))
+            except NoLocks as error:
+                log.warning("%s; see to it yourself that no other daemon publishes there", error)
         remote = is_silent(file_system(state))
         table = JobTable(state, create=True, journal="truncate" if remote else "wal")
         if remote:
@@ -113,8 +119,6 @@ def watch(request: Request, log: logging.Logger) -> int:
         finally:
             process.close()
             table.close()
-    finally:
-        os.close(lock)
 
 
 def check_apart(drop: Path, output: Path) -> None:

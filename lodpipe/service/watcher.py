@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from watchdog.observers.api import BaseObserver
@@ -28,8 +27,15 @@ SILENT = (
 )
 """File systems on which changes made elsewhere give no events here; all of FUSE (`fuse.sshfs` …) as well."""
 
-Dirty = Callable[[str | None], None]
-"""Called with the folder, relative to the watched one, in which something changed; None: look everywhere."""
+
+class Dirty(Protocol):
+    """Told of changes, from a thread of the watcher."""
+
+    def __call__(self, folder: str | None, name: str = "", closed: bool = False) -> None:
+        """Something changed in a folder, relative to the watched one; None: look everywhere.
+
+        Of the file `name` in it, whether its writer has `closed` it.
+        """
 
 
 def file_system(path: Path, mounts: str | None = None) -> str:
@@ -70,7 +76,7 @@ class Watcher:
         if not self.wanted:
             why = f"{kind} gives none" if mode == "auto" else "watch.events is off"
             log.info("no file events (%s): the folder is listed instead", why)
-        self._warnings = _Warnings(dirty)
+        self._warnings = _Warnings(dirty, log)
         logging.getLogger("watchdog").addHandler(self._warnings)
 
     @property
@@ -107,11 +113,14 @@ class Watcher:
 
         class Handler(events.FileSystemEventHandler):
             def on_any_event(self, event: events.FileSystemEvent) -> None:
-                for path in {event.src_path, event.dest_path} - {""}:
-                    text = os.fsdecode(path)
-                    inside = os.path.relpath(os.path.dirname(text), root)  # noqa: PTH120 plain text, many times
-                    if not inside.startswith(".."):
-                        dirty("" if inside == "." else inside)
+                closed = isinstance(event, events.FileClosedEvent)
+                for path, whole in ((event.src_path, closed), (event.dest_path, True)):
+                    if not path:
+                        continue
+                    folder, name = os.path.split(os.fsdecode(path))
+                    inside = os.path.relpath(folder, root)
+                    if inside != ".." and not inside.startswith("../"):
+                        dirty("" if inside == "." else inside, "" if event.is_directory else name, whole)
 
         kinds: list[type[events.FileSystemEvent]] = [
             events.FileCreatedEvent,
@@ -145,11 +154,12 @@ class Watcher:
 class _Warnings(logging.Handler):
     """Whatever watchdog warns of (lost events above all), the answer is to look everywhere."""
 
-    def __init__(self, dirty: Dirty) -> None:
+    def __init__(self, dirty: Dirty, log: logging.Logger) -> None:
         super().__init__(logging.WARNING)
-        self._dirty = dirty
+        self._dirty, self._log = dirty, log
 
     def emit(self, record: logging.LogRecord) -> None:
+        self._log.warning("%s; the whole folder is listed", record.getMessage())
         self._dirty(None)
 
 

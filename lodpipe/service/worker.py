@@ -14,6 +14,7 @@ import importlib
 import json
 import os
 import resource
+import signal
 import sys
 import threading
 import time
@@ -30,6 +31,7 @@ ORPHANED = 130
 def main() -> int:
     """Do the job; the exit code says only whether an outcome was delivered."""
     faulthandler.enable()
+    faulthandler.register(signal.SIGTERM, chain=True)  # over its time: the log says where it was
     with open(int(sys.argv[1]), "w", encoding="ascii", buffering=1) as events:  # noqa: PTH123 a descriptor, no path
         for name in sys.argv[2:]:
             with contextlib.suppress(ImportError, LodpipeError):  # the job that needs it tells what is wrong

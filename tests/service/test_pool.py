@@ -78,6 +78,35 @@ def test_one_that_hangs_is_ended(make, tmp_path, monkeypatch):
     assert list((tmp_path / "out" / ".lodpipe").iterdir()) == []
 
 
+def test_one_that_is_ended_is_asked_first_and_says_where_it_was(make):
+    worker = pool.Worker(1)
+    worker.assign(make("hang", {"fail": {"how": "hang"}}))
+    while worker.stage != "fail":
+        worker.read(nothing) or time.sleep(0.01)
+        assert not worker.ended
+    worker.kill()
+    assert worker.process.returncode == -signal.SIGTERM
+    assert b"in fail\n" in worker._tail()
+    worker.close()
+
+
+def test_one_that_does_not_heed_that_is_killed_with_all_it_has_started(tmp_path, monkeypatch):
+    monkeypatch.setattr(pool, "TERM_SECONDS", 0.3)
+    worker = pool.Worker(1)
+    worker.kill()
+    worker.close()
+    script = f"trap '' TERM; sleep 60 & echo $! > {tmp_path}/pid.new; mv {tmp_path}/pid.new {tmp_path}/pid; wait"
+    worker.process = subprocess.Popen(["sh", "-c", script], start_new_session=True)
+    while not (tmp_path / "pid").exists():
+        time.sleep(0.01)
+    worker.kill()
+    assert worker.process.returncode == -signal.SIGKILL
+    end = time.monotonic() + 20
+    while pool.process_start(int((tmp_path / "pid").read_text())):  # not our child: nothing tells when it is gone
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
 def test_one_that_takes_more_memory_than_its_own_limit_let_it_is_ended(make, monkeypatch):
     monkeypatch.setattr(pool, "resident_gb", lambda pid: 99.0)
     (outcome,) = run_isolated([make("fat", {"fail": {"how": "hang"}})], 1, nothing)

@@ -32,14 +32,14 @@ def test_a_file_is_ready_only_after_it_has_been_the_same_for_the_whole_time(step
         if changes or seen is None:
             size, last_change = size + 1, now
         seen = note(seen, Signature(size, 0, 1), now)
-        verdict = judge(seen, {}, (), now, settle_s=2.0, wait_s=9.0)
+        verdict = judge(seen, {}, (), now, settle_s=2.0, closed_s=0.5, wait_s=9.0)
         assert verdict.ready == (now - last_change >= 2.0)
         assert verdict.ready or verdict.due == last_change + 2.0
 
 
 def test_the_youngest_member_decides_and_an_absent_one_ends_it():
     old, young = Seen(Signature(9, 0, 1), 0.0), Seen(Signature(5, 0, 2), 10.0)
-    options = {"settle_s": 2.0, "wait_s": 100.0}
+    options = {"settle_s": 2.0, "closed_s": 0.5, "wait_s": 100.0}
     assert judge(old, {"b": (young, 0)}, (), 11.0, **options).due == 12.0
     assert judge(old, {"b": (young, 0)}, (), 12.0, **options).ready
     short = judge(old, {"b": (young, 6)}, ("c",), 12.0, **options)

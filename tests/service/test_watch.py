@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
+import os
 import signal
 import socket
 import sys
+import threading
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -16,7 +20,7 @@ from chains import CHAIN, plugin_folder, write_obj
 from daemon_kit import until
 from lodpipe.core.errors import ConfigError, OutputError
 from lodpipe.service import control
-from lodpipe.service.lock import is_running, take_lock
+from lodpipe.service.lock import NoLocks, is_running, take_lock
 from lodpipe.service.logs import daemon_log
 from lodpipe.service.recipe import read_recipe
 from lodpipe.service.watch import Request, check_apart, watch
@@ -163,6 +167,34 @@ def test_folders_that_would_feed_on_themselves_are_refused(tmp_path):
         with pytest.raises(OutputError, match="results would be taken as inputs"):
             check_apart(drop, tmp_path / "out")
     check_apart(tmp_path, tmp_path / "out")  # that one is left out of the listing
+
+
+def test_two_daemons_with_tables_of_their_own_do_not_share_an_output(tmp_path):
+    (tmp_path / "drop").mkdir()
+    (tmp_path / "out" / ".lodpipe").mkdir(parents=True)
+    request = Request(tmp_path / "drop", tmp_path / "out", "fast", state=tmp_path / "state", once=True)
+    held = take_lock(tmp_path / "out" / ".lodpipe")
+    with pytest.raises(OutputError, match=rf"out/.lodpipe: another daemon works on it \(process {os.getpid()}\)"):
+        watch(request, daemon_log(sys.stderr, text=False))
+    assert not is_running(tmp_path / "state")
+    os.close(held)
+    assert watch(request, daemon_log(sys.stderr, text=False)) == 0
+
+
+def test_a_status_that_looks_at_the_lock_does_not_keep_a_daemon_from_starting(tmp_path):
+    handle = os.open(tmp_path / "daemon.lock", os.O_RDWR | os.O_CREAT)
+    fcntl.flock(handle, fcntl.LOCK_SH)
+    threading.Timer(0.06, os.close, [handle]).start()
+    os.close(take_lock(tmp_path))
+
+
+def test_a_file_system_without_locks_is_told_apart_from_another_daemon(tmp_path, monkeypatch):
+    def none(handle, how):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("lodpipe.service.lock.fcntl.flock", none)
+    with pytest.raises(NoLocks, match="cannot be locked"):
+        take_lock(tmp_path)
 
 
 def test_a_folder_that_has_never_been_there_is_a_mistake(tmp_path):

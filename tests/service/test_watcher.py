@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import logging
+import os
+import signal
 import threading
 import time
 from pathlib import Path
 
 import pytest
 
+from chains import write_obj
+from daemon_kit import until
 from lodpipe.service.watcher import Watcher, file_system, is_silent
 
 MOUNTS = """22 1 8:1 / / rw - ext4 /dev/sda1 rw
@@ -41,16 +45,21 @@ class Told:
 
     def __init__(self) -> None:
         self.folders: list[str | None] = []
+        self.hear = lambda folder, name, closed: None
         self._more = threading.Condition()
 
-    def __call__(self, folder: str | None) -> None:
+    def __call__(self, folder: str | None, name: str = "", closed: bool = False) -> None:
         with self._more:
             self.folders.append(folder)
+            self.hear(folder, name, closed)
             self._more.notify_all()
 
     def wait_for(self, folder: str | None) -> bool:
+        return self.wait(lambda: folder in self.folders)
+
+    def wait(self, condition) -> bool:
         with self._more:
-            return self._more.wait_for(lambda: folder in self.folders, timeout=20)
+            return self._more.wait_for(condition, timeout=20)
 
 
 @pytest.fixture
@@ -111,3 +120,38 @@ def test_events_can_be_left_out(tmp_path):
     assert not silent.check()
     assert silent._observer is None
     silent.close()
+
+
+def test_a_real_overflow_of_the_systems_queue_loses_nothing(running):
+    """The daemon stands still while more happens than the system's queue takes; what is lost in it is found at once."""
+    limit = int(Path("/proc/sys/fs/inotify/max_queued_events").read_text())
+    if limit > 200_000:
+        pytest.skip(f"the queue takes {limit} events")
+    daemon = running({"watch": {"rescan_s": 3600}})
+    until(lambda: daemon.says("watching"))
+    os.kill(daemon.process.pid, signal.SIGSTOP)
+    here, there = daemon.drop / "x.part", daemon.drop / "y.part"
+    here.write_text("x")
+    for _ in range(limit // 4 + 100):  # two events each, there and back; alike ones in a row would be made one
+        here.rename(there)
+        there.rename(here)
+    write_obj(daemon.drop / "new" / "late.obj")  # neither the folder nor the file has an event any more
+    os.kill(daemon.process.pid, signal.SIGCONT)
+    until(lambda: (daemon.out / "new" / "late" / "manifest.json").is_file())
+    assert daemon.says("overflow")
+    write_obj(daemon.drop / "new" / "later.obj", cells=5)  # the folder is watched from now on
+    until(lambda: (daemon.out / "new" / "later" / "manifest.json").is_file())
+
+
+def test_a_close_and_a_move_say_that_the_writer_is_through(watcher, tmp_path):
+    watcher.check()
+    ends: dict[str, bool] = {}
+    watcher.told.hear = lambda folder, name, closed: ends.__setitem__(f"{folder}/{name}", closed)
+    with (tmp_path / "a.obj").open("w") as file:
+        file.write("x")
+        file.flush()
+        assert watcher.told.wait(lambda: ends.get("/a.obj") is False)
+    assert watcher.told.wait(lambda: ends.get("/a.obj") is True)
+    (tmp_path / "b.part").write_text("x")
+    (tmp_path / "b.part").rename(tmp_path / "b.obj")
+    assert watcher.told.wait(lambda: ends.get("/b.obj") is True)
