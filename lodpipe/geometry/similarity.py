@@ -25,7 +25,7 @@ from lodpipe.kernel import Similarity
 from lodpipe.kernel.similarity import Appearance, Look, LookImage, SimilarityOptions
 
 if TYPE_CHECKING:
-    from lodpipe.geometry.decimate import _Joined
+    from lodpipe.geometry.joined import Joined
 
 LUMA = np.array([0.299, 0.587, 0.114])
 """Rec. 601: luminance of R, G and B."""
@@ -53,7 +53,7 @@ class Dressed:
 
 def decimate_joined(
     asset: Asset,
-    joined: _Joined,
+    joined: Joined,
     targets: list[int],
     options: SimilarityOptions,
     pixels: Mapping[int, U8],
@@ -92,7 +92,7 @@ def decimate_joined(
     return replace(result, levels=levels, record=record)
 
 
-def dress(asset: Asset, joined: _Joined, pixels: Mapping[int, U8]) -> Dressed:
+def dress(asset: Asset, joined: Joined, pixels: Mapping[int, U8]) -> Dressed:
     """What the joined meshes look like. An image that `pixels` lacks is left out: its factor colour stands in."""
     starts = dict(zip(joined.names, np.cumsum([0, *joined.widths[:-1]]).tolist(), strict=True)) if joined.names else {}
     rows = len(joined.values)
@@ -228,7 +228,7 @@ def _uv_worth(positions: F64, faces: I32, uv: F32) -> float:
     return worth if np.isfinite(worth) else 0.0
 
 
-def _require_uvs(asset: Asset, joined: _Joined, options: SimilarityOptions) -> None:
+def _require_uvs(asset: Asset, joined: Joined, options: SimilarityOptions) -> None:
     for index in joined.used:
         mesh = asset.meshes[index]
         if any("TEXCOORD_0" not in primitive.attributes for primitive in mesh.primitives):

@@ -9,8 +9,9 @@ from pydantic import Field
 
 from lodpipe.core.asset import Asset, Lod
 from lodpipe.core.errors import AssetError, LimitError
-from lodpipe.geometry.decimate import AttributeWeights, Unseen, decimate_asset
+from lodpipe.geometry.decimate import decimate_asset
 from lodpipe.geometry.flatten import flatten
+from lodpipe.geometry.joined import AttributeWeights, Unseen
 from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.strip import without_uvs
 from lodpipe.geometry.surface import image_index

@@ -4,7 +4,8 @@
 
 Peers' meshes and figures are kept in build/looks and made only once for each asset, ratio and resolution; ours are
 made anew. Prints a line for each case (ours − best peer of the case) and the means that matter. LOOKS_MODES='{"name":
-{"setting": value}}' tries settings out.
+{"setting": value}}' tries settings out. `--top N` leaves all but the N best peers of each case out, by the figures of
+an earlier run with 8 views × 256²: large pictures of all peers take hours.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ def main() -> None:
     ap.add_argument("--modes", default="quadric,visual")
     ap.add_argument("--views", type=int, default=24)
     ap.add_argument("--res", type=int, default=512)
+    ap.add_argument("--top", type=int, help="judge the best peers alone, by what 8 views of 256² said")
     ap.add_argument("--workers", type=int, default=1, help="processes of the judge")
     ap.add_argument("--cache", default=str(run.ROOT / "build" / "looks"))
     ap.add_argument("--shots", help="folder for pictures: original, best peer, ours")
@@ -80,7 +82,7 @@ def _asset(path: Path, ratios: list[float], names: list[str], modes: dict[str, A
     targets = [max(4, round(len(source.f) * r)) for r in ratios]
     made = {name: run.levels(source, targets, modes[name]) for name in names}
     for number, (ratio, target) in enumerate(zip(ratios, targets, strict=True)):
-        for name in PEERS if kind == "tex" else PLAIN_PEERS:
+        for name in _leading(cache, stem, ratio, target, kind, a.top):
             key = f"{name}@{ratio:g}"
             if key in known:
                 continue
@@ -106,6 +108,20 @@ def _asset(path: Path, ratios: list[float], names: list[str], modes: dict[str, A
         print(f"{stem} {ratio:g} done", file=sys.stderr)
     look.close()
     return rows
+
+
+def _leading(cache: Path, stem: str, ratio: float, target: int, kind: str, top: int | None) -> tuple[str, ...]:
+    """The peers to judge: all of them, or the `top` best of an earlier run of small pictures."""
+    every = PEERS if kind == "tex" else PLAIN_PEERS
+    book = cache / f"{stem}-8x256.json"
+    if not top or not book.exists():
+        return every
+    known = json.loads(book.read_text())
+    order = []
+    while len(order) < top and (best := _best(known, ratio, target, kind)):
+        order.append(best)
+        del known[f"{best}@{ratio:g}"]
+    return tuple(order)
 
 
 def _best(known: dict[str, Any], ratio: float, target: int, kind: str) -> str | None:

@@ -108,7 +108,8 @@ def _peer(settings: dict[str, Any]) -> Any:
         import numpy as np
 
         from lodpipe.core.mesh import Mesh
-        from lodpipe.geometry.decimate import AttributeWeights, decimate
+        from lodpipe.geometry.decimate import decimate
+        from lodpipe.geometry.joined import AttributeWeights
 
         own = dict(settings)
         if "weights" in own:
@@ -153,6 +154,7 @@ def levels(source: Any, targets: list[int], settings: dict[str, Any]) -> tuple[l
     from lodpipe.core.material import Image, Material
     from lodpipe.core.mesh import Mesh
     from lodpipe.geometry import decimate as ours
+    from lodpipe.geometry.joined import AttributeWeights
     from lodpipe.kernel import QuadricOptions
 
     columns = {"NORMAL": source.n, "TEXCOORD_0": source.uv, "COLOR_0": source.c}
@@ -176,7 +178,7 @@ def levels(source: Any, targets: list[int], settings: dict[str, Any]) -> tuple[l
     metric = own.pop("metric", "quadric")
     fields = {name: own.pop(name) for name in list(own) if name in QuadricOptions.__dataclass_fields__}
     if "weights" in own:
-        own["weights"] = ours.AttributeWeights(**own["weights"])
+        own["weights"] = AttributeWeights(**own["weights"])
     goals = [Target(triangles=t) for t in targets]
     begin = time.process_time()
     own |= {"metric": metric, "pixels": pixels, "threads": 1}

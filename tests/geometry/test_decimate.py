@@ -12,9 +12,10 @@ from lodpipe.core.asset import Asset, Target
 from lodpipe.core.errors import Cancelled, InvalidMesh
 from lodpipe.core.material import Material
 from lodpipe.core.mesh import Mesh, Primitive
-from lodpipe.geometry.decimate import AttributeWeights, _Joined, decimate, decimate_asset
+from lodpipe.geometry.decimate import decimate, decimate_asset
 from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.flatten import flatten
+from lodpipe.geometry.joined import AttributeWeights, Joined
 from measures import open_edges, volume, welded
 from meshes import box, bumpy, grid, sphere, terrain, uv_sphere
 from options import SET, options
@@ -310,7 +311,7 @@ def test_what_uvs_are_worth_depends_on_textured_meshes_alone():
     bare = Mesh(*sphere(4, 5.0))
 
     def straight(*meshes):
-        joined = _Joined.of(asset(*meshes))
+        joined = Joined.of(asset(*meshes))
         return joined.columns(options(), AttributeWeights(uv=0.1, normal=0, color=0), 100)[1]
 
     assert straight(sheet) == pytest.approx([0.1, 0.1])  # a unit of UV is a unit of length

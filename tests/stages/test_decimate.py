@@ -13,7 +13,7 @@ from lodpipe.core.errors import Cancelled
 from lodpipe.core.material import Image, Material
 from lodpipe.core.mesh import Mesh
 from lodpipe.core.skeleton import Importance
-from lodpipe.geometry.decimate import AttributeWeights
+from lodpipe.geometry.joined import AttributeWeights
 from lodpipe.kernel import QuadricOptions
 from lodpipe.stage import Context
 from lodpipe.stages.decimate import REASONS, DecimateParams, decimate
