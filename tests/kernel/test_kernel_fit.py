@@ -137,6 +137,20 @@ def test_degenerate_input_and_stray_wedges():
     assert areas(fitted.positions, fitted.faces).min() > 0
 
 
+def test_a_hub_of_very_many_faces():
+    """More than the walk goes round and a row is searched for: samples come by the rim, and nothing is lost."""
+    turn = np.linspace(0, 2 * np.pi, 2001)[:-1]
+    rim = np.stack([np.cos(turn), np.sin(turn), 0.1 * np.sin(40 * turn)], axis=1)
+    positions = np.vstack([[[0.0, 0.0, 0.3]], rim])
+    following = np.arange(2000) % 2000 + 1
+    faces = np.stack([np.zeros(2000), following, np.roll(following, -1)], axis=1).astype(np.int32)
+    wedges, values, level = made(positions, faces, 1200)
+    assert np.bincount(level.faces.ravel()).max() > 1000
+    fitted = kernel.fit(positions, faces, wedges, values, level, 20_000)
+    assert gap(positions, faces, fitted) <= gap(positions, faces, level)
+    np.testing.assert_allclose(fitted.values, fitted.positions, atol=0.02)
+
+
 def test_without_values_positions_are_fitted_alone():
     positions, faces = bumpy(4, 0.03)
     wedges, values, level = made(positions, faces, 120, values=np.empty((len(positions), 0), np.float32))
