@@ -13,10 +13,11 @@ from lodpipe.core.mesh import F64, I32
 from lodpipe.core.skeleton import NODE_TYPES, Skeleton, SkeletonComponent
 from lodpipe.geometry import skeleton_field as fields
 from lodpipe.geometry.skeleton_bands import BandGraph, band_graph
-from lodpipe.geometry.skeleton_dcg import add_prongs, domain_net, proxy, without_tips
+from lodpipe.geometry.skeleton_dcg import domain_net, proxy
 from lodpipe.geometry.skeleton_net import Net
 from lodpipe.geometry.skeleton_rays import Rays
-from lodpipe.geometry.skeleton_surface import I64, Bool, Surface
+from lodpipe.geometry.skeleton_surface import Bool, Surface
+from lodpipe.geometry.skeleton_tips import settle, tips
 
 TRUNK = 2.0
 """The fattest node of a component without joints is its trunk if it is so many times as fat as its branch is."""
@@ -81,19 +82,19 @@ def _geodesic(surface: Surface, options: SkeletonOptions, rays: Rays) -> Skeleto
     vertex = graph.vertex
     if options.sources == "multi":
         mean = fields.mean_distance(surface, source, options.distance)
-        vertex = _with_missed_branches(surface, net, vertex, mean, least, options)
+        vertex = settle(surface, net, vertex, mean, tips(surface, rays, mean, least))
     if options.centre:
         net.centre(net.alive, rays, vertex)
         net.smooth()
         net.centre(net.alive, rays, vertex)
         net.smooth()
-        net.prune(least, straight=True)
+        if options.sources == "single":
+            net.prune(least, straight=True)
         net.absorb()
-        net.trim(rays, surface.points, vertex)
+        if options.sources == "single":
+            net.trim(rays, surface.points, vertex)
         net.join_joints(least)
-        joints = [n for n in net.alive if len(net.near[n]) > 2]
-        net.centre(joints, rays, vertex)
-        net.bend(rays, vertex)
+        net.straighten(rays, vertex, least)
     _, level = fields.level_of(x, graph.cuts, surface.component)
     return _finished(surface, net, vertex, level, _on_level(surface, x, graph.cuts), rays, options)
 
@@ -108,71 +109,14 @@ def _dcg(surface: Surface, options: SkeletonOptions, rays: Rays) -> Skeleton:
     net, vertex = domain_net(small, few, fields.distances(small, start))
     least = options.least_branch / 100 * small.diagonals
     least[small.diagonals < SPECK] = np.inf
-    tips = _tips_of(small, fields.mean_distance(small, start), least, options)
-    vertex = add_prongs(small, net, vertex, tips)
-    without_tips(net, vertex, [tip for tip, _, _ in tips])
-    net.trim(few, small.points, vertex)
-    net.prune(least, straight=True)
+    mean = fields.mean_distance(small, start)
+    vertex = settle(small, net, vertex, mean, tips(small, few, mean, least))
     net.join_joints(least)
     if options.centre:
         net.centre([n for n in net.alive if 0 < len(net.near[n]) < 3], few, vertex)
-        net.bend(few, vertex)
+        net.straighten(few, vertex, least)
     _, level = fields.level_of(x, cuts, surface.component)
     return _finished(surface, net, vertex[row], level, _on_level(surface, x, cuts), rays, options)
-
-
-def _tips_of(surface: Surface, mean: F64, least: F64, options: SkeletonOptions) -> list[tuple[int, F64, I64]]:
-    """The tips of the mean distance: vertex, the middle of the last band, and the vertices of the branch."""
-    x, unit = fields.normalised(surface, mean)
-    graph = band_graph(surface, x, fields.cuts_of(surface, x, unit, options.levels))
-    net = _net(graph, unit)
-    net.prune(PERSISTENCE * least)
-    domain = net.owners()[graph.vertex]
-    tips = []
-    for leaf in [n for n in net.alive if len(net.near[n]) == 1]:
-        branch = net.path(leaf, next(iter(net.near[leaf])))[:-1]
-        region = np.flatnonzero(np.isin(domain, branch))
-        if len(region) and net.height[leaf] >= net.height[branch[-1]]:
-            tips.append((int(region[mean[region].argmax()]), net.place[leaf], region))
-    return tips
-
-
-def _with_missed_branches(
-    surface: Surface, net: Net, vertex: I32, mean: F64, least: F64, options: SkeletonOptions
-) -> I32:
-    """Graft onto `net` the branches that only the mean distance has (fins, ears); each vertex's node afterwards.
-
-    Pao 2003, 2.1.3, corrects by further sources and asks that levels do not overlap: here a branch's region is cut out
-    of the node that it hangs on, so every vertex keeps one node, and a tree that is grafted on adds no loop.
-    """
-    x, unit = fields.normalised(surface, mean)
-    graph = band_graph(surface, x, fields.cuts_of(surface, x, unit, options.levels))
-    other = _net(graph, unit)
-    other.prune(PERSISTENCE * least)
-    domain, owner = other.owners()[graph.vertex], net.owners()[vertex]
-    ends = {n for n in net.alive if len(net.near[n]) == 1}
-    vertex = vertex.copy()
-    for leaf in [n for n in other.alive if len(other.near[n]) == 1]:
-        path = other.path(leaf, next(iter(other.near[leaf])))
-        branch = path[:-1]
-        if len(other.near[path[-1]]) < 3 or other.height[leaf] < other.height[branch[-1]]:
-            continue  # not a limb, or the middle of the model, where the mean distance is least
-        region = np.flatnonzero(np.isin(domain, branch))
-        if not len(region) or not ends.isdisjoint(owner[region].tolist()):
-            continue
-        base = np.flatnonzero(domain == branch[-1])
-        host = int(np.bincount(owner[base if len(base) else region]).argmax())
-        for n in reversed(branch):
-            new = net.add(
-                other.place[n],
-                net.height[host] + abs(other.height[n] - other.height[path[-1]]),
-                other.component[n],
-                other.reach[n],
-            )
-            net.link(host, new)
-            vertex[domain == n] = new
-            host = new
-    return vertex
 
 
 def _net(graph: BandGraph, unit: F64) -> Net:

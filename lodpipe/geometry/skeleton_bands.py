@@ -146,11 +146,13 @@ def _centres(surface: Surface, x: F64, cuts: F64, face: I64, band: I64, part: I3
     total = np.asarray(np.bincount(part, area, count), np.float64)
     sums = np.stack([np.bincount(part, moment[:, k], count) for k in range(3)], axis=1)
     centre = sums / total[:, None]
-    low, high = (np.full((count, 3), v) for v in (np.inf, -np.inf))
-    owner = surface.points[surface.faces[face]]
-    np.minimum.at(low, part, owner.min(axis=1))
-    np.maximum.at(high, part, owner.max(axis=1))
-    return np.clip(centre, low, high), total  # clipped: slivers of no area
+    thin = np.flatnonzero((total <= 1e-12)[part])  # slivers of no area: the middle of their faces
+    if len(thin):
+        middle = surface.points[surface.faces[face[thin]]].mean(axis=1)
+        number = np.maximum(np.bincount(part[thin], minlength=count), 1)
+        means = np.stack([np.bincount(part[thin], middle[:, k], count) for k in range(3)], axis=1) / number[:, None]
+        centre = np.where((total <= 1e-12)[:, None], means, centre)
+    return centre, total
 
 
 def _below(p: F64, h: F64, whole: F64, cut: F64) -> tuple[F64, F64]:

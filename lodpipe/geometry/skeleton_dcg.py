@@ -8,7 +8,6 @@ tips of the mean distance which no ball reaches become ends.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -30,8 +29,6 @@ PROXY = 5000
 """Triangles on which larger surfaces are worked on."""
 STEP, LEAST_STEP = 0.4, 0.02
 """A step's length, in distances to the nearest wall: at first, and that at which a seed has come to rest."""
-PRONG = 1.5
-"""A tip farther from its ball's centre than so many radii becomes an end."""
 
 
 def proxy(surface: Surface) -> tuple[Surface, I32]:
@@ -75,40 +72,6 @@ def domain_net(surface: Surface, rays: Rays, height: F64) -> tuple[Net, I32]:
     return net, vertex
 
 
-def add_prongs(surface: Surface, net: Net, vertex: I32, tips: list[tuple[int, F64, I64]]) -> I32:
-    """Make ends of tips (terminal vertex, place, region of vertices) that no ball reaches; the vertices' nodes."""
-    vertex = vertex.copy()
-    owner = net.owners()
-    for tip, place, region in tips:
-        host = int(owner[vertex[tip]])
-        if float(np.linalg.norm(surface.points[tip] - net.place[host])) <= PRONG * net.radius[host]:
-            continue
-        end = net.add(place, net.height[host] + 1.0, net.component[host])
-        net.link(host, end)
-        vertex[region[owner[vertex[region]] == host]] = end
-        owner = net.owners()
-    return vertex
-
-
-def without_tips(net: Net, vertex: I32, tips: list[int]) -> None:
-    """Take away branches in whose domains no tip lies: balls beside each other in a body, not limbs."""
-    found = True
-    while found:
-        found = False
-        owner = net.owners()
-        real = {int(owner[vertex[tip]]) for tip in tips}
-        for leaf in net.alive:
-            if len(net.near[leaf]) != 1:
-                continue
-            path = net.path(leaf, next(iter(net.near[leaf])))
-            if len(net.near[path[-1]]) < 3 or not real.isdisjoint(path[:-1]):
-                continue
-            for gone, stays in itertools.pairwise(path):
-                net.unlink(gone, stays)
-                net.into[gone] = path[-1]
-            found = True
-
-
 def _seeds(surface: Surface) -> I64:
     """About SEEDS vertices spread by area, at least one for each component."""
     corner = surface.points[surface.faces]
@@ -126,13 +89,7 @@ def _at_rest(surface: Surface, rays: Rays, seeds: I64) -> tuple[F64, F64, NDArra
     as |F| falls; where a step makes it grow, the step is halved.
     """
     component = surface.component[seeds]
-    normal = np.zeros_like(surface.points)
-    corner = surface.points[surface.faces]
-    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    for k in range(3):
-        for axis in range(3):
-            normal[:, axis] += np.bincount(surface.faces[:, k], across[:, axis], len(normal))
-    inward = -normal[seeds] / np.maximum(np.linalg.norm(normal[seeds], axis=1, keepdims=True), 1e-30)
+    inward = -surface.normals(seeds)
     place = surface.points[seeds] + 1e-4 * inward
     depth = rays.walls(place, inward[:, None], component)[:, 0]
     place = (

@@ -57,6 +57,8 @@ def _heat(surface: Surface, sources: I64) -> F64:
 
 def farthest(surface: Surface, field: F64) -> I64:
     """(C,) for each component the vertex where `field` is largest, the lowest of equals."""
+    if surface.component_count == 1:
+        return np.array([np.argmax(field)], np.int64)
     order = np.lexsort((-np.arange(len(field)), field, surface.component))
     last = np.flatnonzero(np.diff(surface.component[order], append=-1))
     return order[last]

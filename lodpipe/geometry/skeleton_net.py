@@ -16,6 +16,7 @@ from lodpipe.geometry.skeleton_surface import Bool
 SAMPLES_PER_UNIT = 250
 """Points looked at on a link as long as the model's diagonal."""
 BEND_ROUNDS = 6
+LONG, REFINE_ROUNDS, ZIP = 0.04, 5, 0.5
 TANGENT_STEPS = 3
 MOST_TRIMMED = 16
 """Branches of more nodes are not looked at: they stick out."""
@@ -39,6 +40,8 @@ class Net:
     component: list[int] = field(default_factory=list)
     near: list[set[int]] = field(default_factory=list)
     into: list[int] = field(default_factory=list)
+    kept: set[int] = field(default_factory=set)
+    """Ends that are not taken in by what they hang on."""
 
     def add(self, place: F64, height: float, component: int, reach: float = 0.0, radius: float = 0.0) -> int:
         """A new node without links; its number."""
@@ -142,7 +145,8 @@ class Net:
             while todo:
                 n = todo.pop()
                 away = float(np.linalg.norm(self.place[n] - self.place[hub]))
-                if n not in self.near[hub] or away >= self.radius[hub]:
+                room = self.radius[hub] * (1 + BULGE if len(self.near[n]) == 1 else 1)
+                if n not in self.near[hub] or n in self.kept or away >= room:
                     continue
                 if self.merge(n, hub):
                     todo = sorted(self.near[hub])
@@ -301,6 +305,76 @@ class Net:
             places = np.array([self.place[n] for n in new])
             ok = rays.inside(places, np.array([self.component[n] for n in new], np.int32))
             stuck |= {n for n, inner in zip(new, ok, strict=True) if not inner}
+
+    def straighten(self, rays: Rays, vertex: I32, least: F64) -> None:
+        """Lead links through the middle of the surface: long ones get nodes, those side by side become one."""
+        self.centre([n for n in self.alive if len(self.near[n]) > 2], rays, vertex)
+        self.refine(rays, vertex)
+        self.join_joints(least)
+        self.ease([n for n in self.alive if len(self.near[n]) == 2], rays, vertex, 2)
+        self.bend(rays, vertex)
+
+    def refine(self, rays: Rays, vertex: I32) -> None:
+        """Give long links nodes in the middle of the surface."""
+        new: list[int] = []
+        for a, b in self.links():
+            number = int(np.linalg.norm(self.place[a] - self.place[b]) / LONG)
+            last = a
+            if number:
+                self.unlink(a, b)
+            for k in range(number):
+                t = (k + 1) / (number + 1)
+                height = self.height[a] + t * (self.height[b] - self.height[a])
+                n = self.add(self.place[a] + t * (self.place[b] - self.place[a]), height, self.component[a])
+                self.link(last, n)
+                new.append(n)
+                last = n
+            if number:
+                self.link(last, b)
+        self.ease(new, rays, vertex, REFINE_ROUNDS)
+        self.zip()
+
+    def ease(self, nodes: list[int], rays: Rays, vertex: I32, rounds: int) -> None:
+        """Move nodes towards the middle in short steps, smoothed, so that neighbours go the same way."""
+        for _ in range(rounds):
+            before = {n: self.place[n] for n in nodes}
+            self.centre(nodes, rays, vertex)
+            for n in nodes:
+                step = self.place[n] - before[n]
+                far = float(np.linalg.norm(step))
+                if far > LONG / 2:
+                    self.place[n] = before[n] + step * (LONG / 2 / far)
+            self.smooth(1)
+
+    def zip(self) -> None:
+        """Paths that leave a joint side by side become one, as far as they run together."""
+        ends = {n for n in self.alive if len(self.near[n]) < 2}
+        todo = [n for n in self.alive if len(self.near[n]) > 2]
+        while todo:
+            joint = todo.pop()
+            near = sorted(self.near[joint], key=lambda n: (-self.radius[n], n))
+            for a, b in itertools.combinations(near, 2):
+                apart = float(np.linalg.norm(self.place[a] - self.place[b]))
+                room = min(self.radius[a], self.radius[b])
+                if apart >= ZIP * room or self.near[a] & self.near[b] != {joint} or b in self.near[a]:
+                    continue
+                if len(self.near[a]) == 1 or len(self.near[b]) == 1:
+                    continue
+                self.unlink(joint, b)
+                for other in list(self.near[b]):
+                    self.unlink(b, other)
+                    self.link(a, other)
+                self.into[b] = a
+                self.place[a] = (self.place[a] + self.place[b]) / 2
+                todo += [a, joint]
+                break
+        bare = [n for n in self.alive if len(self.near[n]) == 1 and n not in ends]
+        while bare:  # joints all of whose paths have become one
+            n = bare.pop()
+            (stays,) = self.near[n]
+            self.merge(n, stays)
+            if len(self.near[stays]) == 1 and stays not in ends:
+                bare.append(stays)
 
     def inside_shares(self, rays: Rays, count: int) -> list[float | None]:
         """For each of `count` components the share of the links' length that runs inside; None without length."""

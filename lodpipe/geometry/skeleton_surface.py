@@ -147,6 +147,17 @@ class Surface:
         rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
         return np.asarray(rank[label], np.int32)
 
+    def normals(self, rows: I64) -> F64:
+        """(N, 3) unit normals of some of the vertices, by area; zero where faces cancel out."""
+        wanted = np.zeros(len(self.points), bool)
+        wanted[rows] = True
+        faces = self.faces[wanted[self.faces].any(axis=1)]
+        corner = self.points[faces]
+        across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).repeat(3, axis=0)
+        count = len(self.points)
+        normals = np.stack([np.bincount(faces.ravel(), across[:, k], count)[rows] for k in range(3)], axis=1)
+        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
     @property
     def component_count(self) -> int:
         """Number of components."""

@@ -20,7 +20,7 @@ def test_a_star_is_cut_into_its_arms(arms):
     assert found.names == ("main", *(f"branch{i + 1}" for i in range(arms)))
     positions, label = asset.meshes[0].positions, found.vertex_segment[0]
     out = np.linalg.norm(positions, axis=1)
-    assert (label[out < 0.36] == 0).mean() > 0.95
+    assert (label[out < 0.36] == 0).mean() > 0.9
     assert (label[out > 0.75] > 0).mean() > 0.95
     for branch in range(1, arms + 1):  # each branch lies on one side
         mine = positions[label == branch]

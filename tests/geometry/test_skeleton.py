@@ -281,3 +281,56 @@ def test_the_sample_starfish_has_five_ends_and_one_joint():
     assert (found.count("end"), found.count("joint")) == (5, 1)
     turned = dataclasses.replace(WAYS["default"], sources="single")
     assert skeleton(lodpipe.load(path), turned).count("end") == 5
+
+
+def tube(points, radius=0.14):
+    """A capsule along a polyline."""
+    from sample_assets.implicit import capsule
+
+    points = np.array(points, float)
+    fields = [capsule(a, b, radius) for a, b in itertools.pairwise(points)]
+    return limbs.blob(fields, points.min(axis=0) - 1.5 * radius, points.max(axis=0) + 1.5 * radius)
+
+
+BENT = {
+    "right angle": [[0, 0, 0], [1, 0, 0], [1, 1, 0]],
+    "back and forth": [[0, 0, 0], [1, 0, 0], [0.3, 0.7, 0], [1.3, 0.9, 0], [1, 0.9, 1]],
+    "stairs": [[0, 0, 0], [0.6, 0, 0], [0.6, 0.6, 0], [1.2, 0.6, 0], [1.2, 1.2, 0]],
+}
+
+
+@pytest.mark.parametrize("way", ["default", "dcg"])
+@pytest.mark.parametrize("shape", BENT)
+def test_elbows_are_not_ends(shape, way):
+    found = of(tube(BENT[shape]), options=WAYS[way])
+    assert (found.count("end"), found.count("joint")) == (2, 0)
+
+
+@pytest.mark.parametrize("way", ["default", "dcg"])
+def test_a_body_with_legs_has_a_spine(way):
+    """Four legs on a long trunk: the paths to them run along its middle, not from one place across it."""
+    from sample_assets.implicit import capsule
+
+    legs = [capsule((x, 0, 0), (x, y, -1), 0.13) for x in (-0.2, 1.8) for y in (-0.5, 0.5)]
+    body = limbs.blob([capsule((0, 0, 0), (1.6, 0, 0), 0.35), *legs], (-0.5, -0.7, -1.2), (2.1, 0.7, 0.5))
+    found = of(body, options=WAYS[way])
+    assert found.count("end") == 4
+    along = found.positions[(found.positions[:, 0] > 0.3) & (found.positions[:, 0] < 1.3)]
+    assert len(along) > 2
+    assert np.abs(along[:, 1]).max() < 0.1
+    assert np.abs(along[:, 2]).max() < 0.15
+
+
+@pytest.mark.parametrize("way", ["default", "dcg"])
+@pytest.mark.parametrize("seed", [3, 8])
+def test_ends_hold_under_noise_decimation_and_turns(way, seed):
+    mesh, ends = limbs.tree(seed)
+    size = np.linalg.norm(np.ptp(mesh.positions, axis=0))
+    noise = np.random.default_rng(seed).normal(size=mesh.positions.shape) * 0.005 * size
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    for changed in (
+        Mesh(mesh.positions + noise, mesh.faces),
+        lodpipe.decimate(mesh, 0.1),
+        Mesh(mesh.positions @ turn * np.linalg.det(turn), mesh.faces),
+    ):
+        assert of(changed, options=WAYS[way]).count("end") == ends
