@@ -242,6 +242,37 @@ def fit(
     )
 
 
+def vertex_visibility(
+    positions: F32, faces: I32, hides: NDArray[np.bool_], views: F64, side: int, threads: int = 0
+) -> F32:
+    """(V,) float32 0…1: the share of each vertex's faces that is seen from outside.
+
+    positions  (V, 3) float32, those of the faces within the unit sphere
+    faces      (F, 3) int32
+    hides      (F,) bool: False for what covers nothing, and counts as seen
+    views      (N, 3) float64 unit vectors; each stands for its opposite, too
+    side       pixels of a picture of the sphere, each way
+
+    From every view the nearest face is drawn into pictures, by parallel projection. The share is that of the pixels
+    which the faces round a vertex would take up if they were alone, one side of them taken alone; four pixels more
+    stand for the views in which it lies no farther than two pixels behind what is seen there, so that faces smaller
+    than pixels are not lost. A vertex has the largest share among its neighbours. The result does not depend on
+    `threads` (0: all cores). Raises InvalidMesh for arrays that do not fit together.
+    """
+    positions = _table(positions, np.float32, 3, "positions")
+    faces = _table(faces, np.int32, 3, "faces")
+    views = _table(views, np.float64, 3, "views")
+    _indices(faces, len(positions), "faces")
+    used = positions[faces]
+    if not (np.abs(used) <= 1.001).all():
+        raise InvalidMesh("positions must lie within the unit sphere")
+    if not 0 < side <= 16384 or threads < 0:
+        raise InvalidMesh("pictures are 1 to 16384 pixels wide, and threads not negative")
+    mask = _column(hides, np.uint8, len(faces), "hides")
+    seen = _native.vertex_visibility(positions, faces, mask, views, side, threads or os.cpu_count() or 1)
+    return np.asarray(seen, np.float32)
+
+
 def edge_costs(
     positions: F64,
     faces: I32,

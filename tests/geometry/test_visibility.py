@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,16 @@ def test_glass_and_cut_outs_hide_nothing():
             model(shell, Mesh(positions * 0.5, faces), materials=(Material({"alphaMode": mode}),))
         )
         assert outer.min() == 1 and inner.min() > 0.9
+
+
+def test_detail_smaller_than_a_pixel_is_seen():
+    """A part of a thousandth of the model's size, seen from all round, and the same within the model."""
+    positions, faces = sphere(4)
+    detail = Mesh(positions * 0.001 + [0, 1.2, 0], faces)
+    _, seen = vertex_visibility(model(Mesh(positions, faces), detail))
+    assert seen.min() > 0.9
+    _, hidden = vertex_visibility(model(Mesh(positions, faces), replace(detail, positions=positions * 0.001)))
+    assert hidden.max() == 0
 
 
 def test_both_sides_of_a_sheet_count_and_the_best_placement():

@@ -14,6 +14,7 @@
 #include "similarity/similarity.h"
 #include "triangle_tree.h"
 #include "uv.h"
+#include "visibility.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -220,6 +221,18 @@ nb::dict fit(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedge
   if (in.columns) out["values"] = give(result.values, in.columns);
   out["moved"] = give(result.moved, 0);
   return out;
+}
+
+nb::object vertex_visibility(Table<float> positions, Table<int32_t> faces, Column<uint8_t> hides, Table<double> views,
+                             int side, int threads) {
+  std::vector<float> seen;
+  {
+    nb::gil_scoped_release release;
+    seen = lodpipe::vertex_visibility({positions.data(), static_cast<int>(positions.shape(0)), faces.data(),
+                                       static_cast<int>(faces.shape(0)), hides.data(), views.data(),
+                                       static_cast<int>(views.shape(0)), side, threads});
+  }
+  return give(seen, 0);
 }
 
 nb::dict uv_pack(Table<double> uv, Column<int32_t> chart, int charts, int width, int height, double padding, int cells,
@@ -438,6 +451,8 @@ NB_MODULE(_native, m) {
   m.def("fit", &fit, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(), "values"_a.noconvert(),
         "level_positions"_a.noconvert(), "level_faces"_a.noconvert(), "level_wedges"_a.noconvert(),
         "level_values"_a.noconvert(), "importance"_a.noconvert().none(), "wedge_to"_a.noconvert(), "go_on"_a, "options"_a);
+  m.def("vertex_visibility", &vertex_visibility, "positions"_a.noconvert(), "faces"_a.noconvert(), "hides"_a.noconvert(),
+        "views"_a.noconvert(), "side"_a, "threads"_a);
 
   const auto [get_metric, set_metric] = as_int(&similar::Options::metric);
   const auto [get_reference, set_reference] = as_int(&similar::Options::reference);
