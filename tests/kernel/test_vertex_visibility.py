@@ -49,9 +49,8 @@ def test_degenerate_faces_and_the_sphere_s_rim():
 
 def test_arrays_that_do_not_fit_are_refused():
     positions, faces = sphere(1)
-    good = dict(
-        positions=positions.astype(np.float32), faces=faces, hides=np.ones(len(faces), bool), views=views(4), side=9
-    )
+    good = {"positions": positions.astype(np.float32), "faces": faces, "hides": np.ones(len(faces), bool)}
+    good |= {"views": views(4), "side": 9}
     kernel.vertex_visibility(**good)
     for name, bad in (
         ("positions", good["positions"] * 2),
