@@ -33,7 +33,10 @@ MAY_IMPORT: dict[str, str] = {
 
 ONLY_IN: dict[str, str | tuple[str, ...]] = {
     "open3d": "lodpipe/o3d.py",
-    "lodpipe.kernel._native": ("lodpipe/kernel/__init__.py", "lodpipe/kernel/layout.py", "lodpipe/kernel/surfaces.py"),
+    "lodpipe.kernel._native": (
+        "lodpipe/kernel/__init__.py",
+        *(f"lodpipe/kernel/{name}.py" for name in ("layout", "surfaces", "tables")),
+    ),
     "sqlite3": "lodpipe/service/",
     "signal": "lodpipe/service/",
     "multiprocessing": "lodpipe/service/",

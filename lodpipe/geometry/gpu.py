@@ -26,12 +26,15 @@ def gpu_size(asset: Asset) -> GpuSize:
     for mesh in asset.meshes:
         for number, primitive in enumerate(mesh.primitives):
             rows = mesh.face_primitive == number
-            wedges = np.unique(mesh.wedges[rows])
-            if not len(wedges):
+            used = mesh.wedges if rows.all() else mesh.wedges[rows]
+            if not len(used):
                 continue
+            mask = np.zeros(int(used.max()) + 1, bool)
+            mask[used] = True
+            wedges = int(np.count_nonzero(mask))
             width = 3 + sum(mesh.attributes[name].shape[1] for name in primitive.attributes if name in mesh.attributes)
-            vertices += 4 * width * len(wedges)
-            indices += 3 * int(np.count_nonzero(rows)) * (2 if len(wedges) <= SHORT else 4)
+            vertices += 4 * width * wedges
+            indices += 3 * int(np.count_nonzero(rows)) * (2 if wedges <= SHORT else 4)
             if primitive.material is not None:
                 materials.add(primitive.material)
     used = {image for row in materials for image in _images(asset.materials[row].gltf, asset.document)}

@@ -15,7 +15,7 @@ from lodpipe.core.asset import Asset
 from lodpipe.core.mesh import F32
 from lodpipe.core.page import Page, Picture
 from lodpipe.geometry.camera import Camera
-from lodpipe.geometry.metrics import flip_map
+from lodpipe.geometry.metrics import crop_box, flip_map
 from lodpipe.geometry.palette import heat
 from lodpipe.geometry.render import Style, as_bytes, render
 from lodpipe.geometry.sheet import contact_sheet, png_bytes
@@ -82,7 +82,11 @@ def difference(a: U8, b: U8) -> U8:
 
     Seen at half the size, as on a page: 67 pixels a degree.
     """
-    off = flip_map(*(_over_grey(picture) for picture in (a, b)))
+    shown = (a[..., 3] > 0) | (b[..., 3] > 0)
+    off = np.zeros(shown.shape, np.float32)
+    if shown.any():
+        box = crop_box(shown)
+        off[box] = flip_map(*(_over_grey(picture[box]) for picture in (a, b)))
     return np.dstack([as_bytes(heat(off)), np.maximum(a[..., 3], b[..., 3])])
 
 

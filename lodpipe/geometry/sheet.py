@@ -49,5 +49,5 @@ def contact_sheet(
 def png_bytes(image: U8) -> bytes:
     """`image` (H, W, 3 or 4) uint8 as a PNG file's content; the same bytes for the same image."""
     target = io.BytesIO()
-    Image.fromarray(image).save(target, "PNG", optimize=True)
+    Image.fromarray(image).save(target, "PNG", compress_level=5)
     return target.getvalue()

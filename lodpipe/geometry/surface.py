@@ -16,10 +16,10 @@ from lodpipe.core.mesh import F32, F64, I32, Mesh
 from lodpipe.core.rays import Hits
 from lodpipe.geometry.camera import Camera, bounding_sphere
 from lodpipe.geometry.flatten import Soup, flatten
-from lodpipe.geometry.normals import crease_normals, face_normals
+from lodpipe.geometry.normals import crease_normals
 from lodpipe.geometry.tangents import corner_tangents
 from lodpipe.geometry.texture import NEAREST, REPEAT, Texture, Textures, chequer, to_srgb, uv_matrix
-from lodpipe.kernel.surfaces import raster
+from lodpipe.kernel.surfaces import face_normals, raster
 
 if TYPE_CHECKING:
     from lodpipe.o3d import RayScene
@@ -357,7 +357,7 @@ class Model:
 
     @cached_property
     def _face_normals(self) -> F32:
-        return face_normals(self.positions, self.faces).astype(np.float32)
+        return face_normals(self.positions, self.faces)
 
     @cached_property
     def _creased(self) -> F32:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,9 @@ from lodpipe.io.paths import Folder, stem
 from lodpipe.io.polygons import triangulate, usable
 from lodpipe.io.text import Lines, decode_name, integers, plain_text, strip_comments, word_starts
 from lodpipe.io.weld import unique_rows
+from lodpipe.kernel import tables
 
-_Ints = NDArray[np.int64]
+_Ints = NDArray[np.signedinteger[Any]]
 #: A face line that is not made of v, v/t, v//n or v/t/n.
 _BAD_FACE = re.compile(rb"[^0-9/+\-\s]|[0-9][+-]|[+\-](?![0-9])|(?<![0-9/])/|///|/[^\s/]*/[^\s/]*/")
 _LEFT_OUT = {b"l": "lines", b"p": "points", b"curv": "curves", b"surf": "surfaces"}
@@ -46,7 +48,8 @@ def read_obj(folder: Folder, warn: Warn) -> Asset:
     """
     data = plain_text(folder.read_asset())
     folder.limits.check_triangles(data.count(b"\nf "))
-    data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    if b"\\" in data:
+        data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     lines = Lines(strip_comments(data, b"v|vt|vn|f"))
     vertex_lines = lines.starting(b"v")
     if not len(vertex_lines):
@@ -140,9 +143,13 @@ class _Reader:
 
 def _polygons(lines: Lines, vertex_lines: NDArray[np.intp], warn: Warn) -> _Corners:
     face_lines = lines.starting(b"f")
-    body = lines.body(face_lines, b"f")
     counts = lines.words[face_lines].astype(np.int64) - 1
-    parsed = _indices(body)
+    parsed: tuple[_Ints, _Ints, _Ints] | None = tables.text_corners(
+        lines.data, lines.first[face_lines] + 1, lines.end[face_lines], counts
+    )
+    if parsed is None:
+        body = lines.body(face_lines, b"f")
+        parsed = _indices(body)
     if parsed is None:
         bad = np.array([bool(_BAD_FACE.search(line)) for line in body.split(b"\n")[:-1]], bool)
         warn(f"{int(bad.sum()):,} face lines that are not made of indices left out")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodpipe.core.errors import AssetError
+from lodpipe.kernel import tables
 
 _SPACES = np.zeros(256, bool)
 _SPACES[[9, 10, 11, 12, 13, 32]] = True
@@ -86,19 +87,7 @@ class Lines:
 
     def __init__(self, data: bytes) -> None:
         self.data = data
-        codes = np.frombuffer(data, np.uint8)
-        breaks = np.flatnonzero(codes == 10)
-        self.start = np.concatenate([[0], breaks + 1])
-        self.end = np.concatenate([breaks, [len(data)]])
-        word = word_starts(codes)
-        bound = np.searchsorted(word, self.start)
-        self.words = np.diff(np.concatenate([bound, [len(word)]]))
-        self.first = self.end.copy()
-        some = self.words > 0
-        self.first[some] = word[bound[some]]
-        padded = np.concatenate([codes, np.full(8, 32, np.uint8)])
-        # the eight bytes from each line's first word on, as one number
-        self._head = np.ndarray(len(data) + 1, "<u8", padded.data, 0, (1,))[self.first]
+        self.start, self.end, self.first, self.words, self._head = tables.text_lines(data)
 
     def __len__(self) -> int:
         return len(self.start)
@@ -134,6 +123,9 @@ class Lines:
     def table(self, lines: NDArray[np.intp], keyword: bytes, columns: int) -> tuple[NDArray[np.float64], NDArray[Any]]:
         """The numbers after `keyword`: (N, columns), NaN where a line has fewer; and how many each line has, (N,)."""
         count = self.words[lines] - 1
+        plain = tables.text_numbers(self.data, self.first[lines] + len(keyword), self.end[lines], columns)
+        if plain is not None:
+            return plain, count
         values = numbers(self.body(lines, keyword), int(count.sum()))
         if len(count) and (count == count[0]).all() and count[0] >= columns:
             return values.reshape(len(lines), -1)[:, :columns], count
@@ -158,6 +150,8 @@ def strip_comments(data: bytes, keywords: bytes) -> bytes:
 
     Lines of names are left alone: a name may hold a #.
     """
+    if b"#" not in data:
+        return data
     marks = np.flatnonzero(np.frombuffer(data, np.uint8) == ord("#"))
     if len(marks) < 1000 and not any(
         data[data.rfind(b"\n", 0, at) + 1 : at].strip()[:1].isalpha() for at in marks.tolist()

@@ -65,6 +65,13 @@ def crease_normals(positions: F64, faces: I32, degrees: float, threads: int = 0)
     return normals.reshape(-1, 3, 3)
 
 
+def face_normals(positions: F32, faces: I32) -> F32:
+    """(F, 3) float32: the unit normal of each of `faces` (F, 3), rows of `positions` (V, 3); zero without an area."""
+    positions, faces = _table(positions, np.float32, 3, "positions"), _table(faces, np.int32, 3, "faces")
+    _indices(faces, len(positions), "faces")
+    return cast(F32, _native.face_normals(positions, faces))
+
+
 def raster(
     positions: F32,
     faces: I32,

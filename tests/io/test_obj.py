@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import model_files as files
 from lodpipe import io
 from lodpipe.core.asset import Asset
 from lodpipe.core.errors import AssetError
+from lodpipe.kernel import tables
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 UVS = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
@@ -149,3 +153,63 @@ def test_the_node_tree_is_applied_when_an_obj_is_written(tmp_path: Path) -> None
         assert (np.cross(b - a, c - a)[:, 2] > 0).all(), "a mirrored copy must be turned to face outwards"
         assert (mesh.attributes["NORMAL"] == [0, 0, 1]).all()
     assert sorted(p for m in again.meshes for p in m.positions[:, 0]) == [9, 9, 10, 10, 10, 10, 11, 11]
+
+
+ODD_WORDS = [
+    "1",
+    "2",
+    "-1",
+    "1/1",
+    "2/2/2",
+    "3//1",
+    "1/",
+    "2/1/",
+    "/1",
+    "1//",
+    "nan",
+    "inf",
+    "1e3",
+    "+",
+    "-",
+    ".5",
+    "5.",
+    "1e400",
+    "x",
+    "99999999999",
+    "1.5",
+    "--1",
+    "1_0",
+    "0",
+    "-0",
+    "1/2/3/4",
+    "#c",
+    "1.0.0",
+    "3/-1/-1",
+    "9223372036854775808",
+    "2147483648",
+    "infinity",
+    "1,0",
+]
+LINES = st.one_of(
+    st.tuples(st.sampled_from(["v", "vt", "vn"]), st.lists(st.sampled_from(["0", "1", "-.5", "2e0"]), max_size=7)),
+    st.tuples(
+        st.just("f"), st.lists(st.sampled_from(["1", "2", "3/1", "4//1", "-1", "-2/-1"]), min_size=2, max_size=5)
+    ),
+    st.tuples(st.sampled_from(["v", "f", "vt", "o", "usemtl", "#"]), st.lists(st.sampled_from(ODD_WORDS), max_size=6)),
+)
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.lists(LINES, max_size=10), st.sampled_from(["\n", "\r\n", " \n\t"]))
+def test_the_quick_reader_and_the_careful_one_agree(rows: list[tuple[str, list[str]]], end: str) -> None:
+    """Words that are not plain are left to array operations in Python; those can read all the others as well."""
+    square = "v 0 0 0|v 1 0 0|v 1 1 0|v 0 1 0|vt 0 0|vn 0 0 1|f 1 2 3".replace("|", end)
+    text = end.join([square, *(" ".join([keyword, *words]) for keyword, words in rows)])
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        path = Path(folder, "m.obj")
+        path.write_bytes(text.encode())
+        quick = io.load(path)
+        for name in ("text_numbers", "text_corners"):
+            patch.setattr(tables, name, lambda *args: None)
+        careful = io.load(path)
+    assert (quick.fingerprint(), quick.warnings) == (careful.fingerprint(), careful.warnings)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from lodpipe.core.errors import InvalidMesh
 from lodpipe.geometry.camera import Camera
 from lodpipe.geometry.normals import crease_normals, face_normals
+from lodpipe.kernel import surfaces
 from lodpipe.kernel.surfaces import TriangleTree, raster
 from lodpipe.o3d import RayScene
 from meshes import grid, sphere
@@ -173,3 +174,11 @@ def test_a_vertex_of_very_many_creased_faces_takes_no_time():
     faces = np.stack([0 * ring, 1 + ring, 1 + (ring + 1) % count], axis=1).astype(np.int32)
     normals = crease_normals(positions, faces, 60.0)
     assert np.einsum("fd,fd->f", normals[:, 0], face_normals(positions, faces)).min() > 0.4
+
+
+def test_normals_of_faces():
+    positions, faces, _ = rough(7)
+    faces[3] = faces[3, 0]
+    expected = face_normals(positions, faces)
+    np.testing.assert_allclose(surfaces.face_normals(positions, faces), expected, atol=1e-6)
+    assert not expected[3].any()

@@ -12,6 +12,7 @@
 #include "normals.h"
 #include "raster.h"
 #include "similarity/similarity.h"
+#include "tables.h"
 #include "triangle_tree.h"
 #include "uv.h"
 #include "visibility.h"
@@ -280,6 +281,15 @@ nb::object crease_normals(Table<double> positions, Table<int32_t> faces, double 
   return give(normals, 9);
 }
 
+nb::object face_normals(Table<float> positions, Table<int32_t> faces) {
+  std::vector<float> normals(3 * faces.shape(0));
+  {
+    nb::gil_scoped_release release;
+    lodpipe::face_normals(positions.data(), faces.data(), static_cast<int>(faces.shape(0)), normals.data());
+  }
+  return give(normals, 3);
+}
+
 // view: eye, right, up and ahead in rows of three, then size.
 nb::object raster(Table<float> positions, Table<int32_t> faces, Column<double> view, bool perspective, int width,
                   int height, int top, int bottom, std::optional<Column<float>> behind) {
@@ -294,6 +304,50 @@ nb::object raster(Table<float> positions, Table<int32_t> faces, Column<double> v
   }
   if (!found.complete) return nb::none();
   return nb::make_tuple(give(found.distance, 0), give(found.face, 0), give(found.uv, 2));
+}
+
+nb::tuple text_lines(nb::bytes text) {
+  lodpipe::TextLines found;
+  {
+    nb::gil_scoped_release release;
+    found = lodpipe::text_lines(text.c_str(), static_cast<int64_t>(text.size()));
+  }
+  return nb::make_tuple(give(found.start, 0), give(found.end, 0), give(found.first, 0), give(found.words, 0),
+                        give(found.head, 0));
+}
+
+nb::object text_numbers(nb::bytes text, Column<int64_t> at, Column<int64_t> end, int columns, int threads) {
+  std::vector<double> values(at.size() * columns);
+  bool good;
+  {
+    nb::gil_scoped_release release;
+    good = lodpipe::text_numbers(text.c_str(), at.data(), end.data(), static_cast<int64_t>(at.size()), columns, threads,
+                                 values.data());
+  }
+  return good ? give(values, columns) : nb::none();
+}
+
+nb::object text_corners(nb::bytes text, Column<int64_t> at, Column<int64_t> end, Column<int64_t> begin, int64_t corners,
+                        int threads) {
+  std::vector<int32_t> parts[3];
+  for (auto& part : parts) part.resize(corners);
+  bool good;
+  {
+    nb::gil_scoped_release release;
+    good = lodpipe::text_corners(text.c_str(), at.data(), end.data(), begin.data(), static_cast<int64_t>(at.size()),
+                                 threads, parts[0].data(), parts[1].data(), parts[2].data());
+  }
+  if (!good) return nb::none();
+  return nb::make_tuple(give(parts[0], 0), give(parts[1], 0), give(parts[2], 0));
+}
+
+nb::tuple unique_rows(Table<uint32_t> rows) {
+  lodpipe::UniqueRows found;
+  {
+    nb::gil_scoped_release release;
+    found = lodpipe::unique_rows(rows.data(), static_cast<int>(rows.shape(0)), static_cast<int>(rows.shape(1)));
+  }
+  return nb::make_tuple(give(found.first, 0), give(found.inverse, 0));
 }
 
 namespace similar = lodpipe::similarity;
@@ -410,8 +464,14 @@ NB_MODULE(_native, m) {
       .def_rw("record", &Options::record)
       .def_rw("follow", &Options::follow);
   m.def("crease_normals", &crease_normals, "positions"_a.noconvert(), "faces"_a.noconvert(), "least"_a, "threads"_a);
+  m.def("face_normals", &face_normals, "positions"_a.noconvert(), "faces"_a.noconvert());
   m.def("raster", &raster, "positions"_a.noconvert(), "faces"_a.noconvert(), "view"_a.noconvert(), "perspective"_a,
         "width"_a, "height"_a, "top"_a, "bottom"_a, "behind"_a.noconvert().none());
+  m.def("text_lines", &text_lines, "text"_a);
+  m.def("text_numbers", &text_numbers, "text"_a, "at"_a.noconvert(), "end"_a.noconvert(), "columns"_a, "threads"_a);
+  m.def("text_corners", &text_corners, "text"_a, "at"_a.noconvert(), "end"_a.noconvert(), "begin"_a.noconvert(),
+        "corners"_a, "threads"_a);
+  m.def("unique_rows", &unique_rows, "rows"_a.noconvert());
   using lodpipe::TriangleTree;
   nb::class_<TriangleTree>(m, "TriangleTree")
       .def("__init__",

@@ -104,4 +104,15 @@ void crease_normals(const double* positions, int vertices, const int32_t* faces,
   });
 }
 
+void face_normals(const float* positions, const int32_t* faces, int count, float* normals) {
+  for (int f = 0; f < count; ++f) {
+    Point corners[3];
+    for (int k = 0; k < 3; ++k) {
+      const float* p = positions + 3 * static_cast<size_t>(faces[3 * static_cast<size_t>(f) + k]);
+      corners[k] = {p[0], p[1], p[2]};
+    }
+    store(unit(cross(corners[1] - corners[0], corners[2] - corners[0])), normals + 3 * static_cast<size_t>(f));
+  }
+}
+
 }  // namespace lodpipe

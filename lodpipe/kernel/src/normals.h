@@ -11,4 +11,7 @@ namespace lodpipe {
 void crease_normals(const double* positions, int vertices, const int32_t* faces, int count, double least, int threads,
                     float* normals);
 
+// `normals` gets three floats a face: its unit normal, zero without an area.
+void face_normals(const float* positions, const int32_t* faces, int count, float* normals);
+
 }  // namespace lodpipe
