@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lodpipe.core.asset import Asset
 from lodpipe.core.mesh import F32, F64, I32
@@ -47,13 +48,16 @@ class Content:
         about which it is decided, SLIP · edge, that is (LIGHT² / SLIP · contrast² · edge / |e|) · |e|² · d².
         """
         model = Model(asset, textures=small(pixels.get), threads=threads)
-        corners = model.corners(np.arange(len(model.faces), dtype=np.int32)).astype(np.float64)
-        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+        areas = _areas(model)
         edge = float(np.sqrt(areas.sum() / max(finest, 1)))
-        length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-        held = seam_contrasts(model, model.soup.wedges) * edge / np.maximum(length, 1e-9 * edge + 1e-300)
-        seams = np.maximum(LIGHT**2 / SLIP * held, PLAIN_SEAM).astype(np.float32)
-        return Content(LIGHT * edge * float(np.sqrt(slip_price(model, SLIP * edge))), model.soup, seams)
+        contrast = seam_contrasts(model, model.soup.wedges)
+        face, slot = np.nonzero(contrast)
+        ends = model.positions[model.faces[face, (slot + 1) % 3]] - model.positions[model.faces[face, slot]]
+        length = np.linalg.norm(ends.astype(np.float64), axis=1)
+        seams = np.full(contrast.shape, PLAIN_SEAM, np.float32)
+        held = LIGHT**2 / SLIP * contrast[face, slot] * edge / np.maximum(length, 1e-9 * edge + 1e-300)
+        seams[face, slot] = np.maximum(held, PLAIN_SEAM)
+        return Content(LIGHT * edge * float(np.sqrt(slip_price(model, SLIP * edge, areas))), model.soup, seams)
 
 
 def small(pixels: Callable[[int], U8 | None]) -> Textures:
@@ -66,30 +70,34 @@ def small(pixels: Callable[[int], U8 | None]) -> Textures:
             return image
         height, width = (max(size // step, 1) for size in image.shape[:2])
         high, wide = image.shape[0] // height, image.shape[1] // width
-        blocks = image[: height * high, : width * wide].reshape(height, high, width, wide, -1)
-        result: U8 = np.rint(blocks.mean(axis=(1, 3), dtype=np.float32)).astype(np.uint8)
+        rows = image[: height * high, : width * wide].reshape(height, high, -1).sum(axis=1, dtype=np.uint32)
+        sums = rows.reshape(height, width, wide, -1).sum(axis=2, dtype=np.uint32)
+        result: U8 = np.rint(sums / np.float32(high * wide)).astype(np.uint8)
         return result
 
     return Textures(reduced, srgb=False)
 
 
-def slip_price(model: Model, slip: float) -> float:
+def slip_price(model: Model, slip: float, areas: F64 | None = None) -> float:
     """Mean squared difference of colour, per squared length, when the textures slip by about `slip` (in radii).
 
+    `areas` (F,) are those of the model's faces, where they are known already.
     The mean over points spread by area, over two directions in the surface, and over red, green and blue (0…1). Seen
     through a filter as wide as the slip, so that grain finer than it does not count. In a face smaller than the slip,
     the slip is as long as half of the face.
     """
-    every = model.corners(np.arange(len(model.faces), dtype=np.int32)).astype(np.float64)
-    area = np.linalg.norm(np.cross(every[:, 1] - every[:, 0], every[:, 2] - every[:, 0]), axis=1) / 2
-    total = np.cumsum(area)
+    areas = _areas(model) if areas is None else areas
+    total = np.cumsum(areas)
     if not len(total) or not total[-1] > 0:
         return 0.0
     i = np.arange(SAMPLES)
-    faces = np.searchsorted(total, (i + 0.5) * total[-1] / SAMPLES, side="right").clip(max=len(area) - 1)
+    faces = (
+        np.searchsorted(total, (i + 0.5) * total[-1] / SAMPLES, side="right").clip(max=len(areas) - 1).astype(np.int32)
+    )
     start = _places(SAMPLES)
-    e1, e2 = every[faces, 1] - every[faces, 0], every[faces, 2] - every[faces, 0]
-    step = np.maximum(np.minimum(slip, 0.5 * np.sqrt(area[faces])), 1e-12)
+    a, b, c = model.corners(faces).astype(np.float64).transpose(1, 0, 2)
+    e1, e2 = b - a, c - a
+    step = np.maximum(np.minimum(slip, 0.5 * np.sqrt(areas[faces])), 1e-12)
     along = e1 / np.maximum(np.linalg.norm(e1, axis=1, keepdims=True), 1e-300)
     across = np.cross(np.cross(e1, e2), along)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
@@ -111,10 +119,12 @@ def seam_contrasts(model: Model, wedges: I32) -> F32:
     """
     faces = model.faces
     contrast = np.zeros(faces.shape, np.float32)
-    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    from_wedge, to_wedge = wedges.ravel(), np.roll(wedges, -1, axis=1).ravel()
-    ahead = start < end
-    key = np.where(ahead, start, end).astype(np.int64) * len(model.positions) + np.where(ahead, end, start)
+    split = _split(faces, wedges, len(model.positions))[faces]
+    rows = np.flatnonzero((split | np.roll(split, -1, axis=1)).ravel())  # a seam has an end of several wedges
+    following = np.where(rows % 3 == 2, rows - 2, rows + 1)
+    start, end = faces.ravel()[rows], faces.ravel()[following]
+    from_wedge, to_wedge = wedges.ravel()[rows], wedges.ravel()[following]
+    key = np.minimum(start, end).astype(np.int64) * len(model.positions) + np.maximum(start, end)
     order = np.argsort(key, kind="stable")
     _, first, counts = np.unique(key[order], return_index=True, return_counts=True)
     two = first[counts == 2]
@@ -122,7 +132,7 @@ def seam_contrasts(model: Model, wedges: I32) -> F32:
     flipped = start[a] != start[b]  # as in a consistent mesh
     low_b, high_b = np.where(flipped, to_wedge[b], from_wedge[b]), np.where(flipped, from_wedge[b], to_wedge[b])
     seam = (from_wedge[a] != low_b) | (to_wedge[a] != high_b)
-    a, b, flipped = a[seam], b[seam], flipped[seam]
+    a, b, flipped = rows[a[seam]], rows[b[seam]], flipped[seam]
     if not len(a):
         return contrast
     total = np.zeros(len(a))
@@ -132,6 +142,23 @@ def seam_contrasts(model: Model, wedges: I32) -> F32:
         total += ((one - other) ** 2).mean(axis=1) / 3
     contrast.ravel()[a] = contrast.ravel()[b] = total
     return contrast
+
+
+def _areas(model: Model) -> F64:
+    """(F,) float64: the areas of the model's faces, in squared radii."""
+    a, b, c = (model.positions[model.faces[:, k]] for k in range(3))
+    (x, y, z), (u, v, w) = (b - a).T, (c - a).T
+    areas: F64 = np.sqrt((y * w - z * v) ** 2 + (z * u - x * w) ** 2 + (x * v - y * u) ** 2).astype(np.float64) / 2
+    return areas
+
+
+def _split(faces: I32, wedges: I32, count: int) -> NDArray[np.bool_]:
+    """(count,) bool: which positions have several wedges."""
+    one = np.zeros(count, np.int32)
+    one[faces] = wedges
+    split = np.zeros(count, bool)
+    split[faces[one[faces] != wedges]] = True
+    return split
 
 
 def _places(count: int) -> F64:

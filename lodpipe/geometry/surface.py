@@ -153,6 +153,8 @@ class Model:
 
     def geometric_normals(self, faces: I32) -> F32:
         """(N, 3) float32 unit normals of the triangles `faces`."""
+        if "_face_normals" not in self.__dict__ and 8 * len(faces) < len(self.faces):  # not worth making all
+            return face_normals(self.positions, self.faces[faces]).astype(np.float32)
         return self._face_normals[faces]
 
     def facing_normals(self, spots: Spots) -> F32:
@@ -310,22 +312,29 @@ class Model:
         """(N,) float32: a pixel's width in UV space, the mean over its directions."""
         cosine = np.abs(np.einsum("nd,nd->n", self.geometric_normals(spots.faces), spots.directions))
         # the more a face is turned away the more of it a pixel covers, but not without end
-        footprint: F32 = spots.pixel * self._density(uv_name)[spots.faces] / np.sqrt(np.maximum(cosine, 0.05))
+        few = uv_name not in self._densities and 8 * len(spots.faces) < len(self.faces)
+        density = self._density_of(uv_name, spots.faces) if few else self._density(uv_name)[spots.faces]
+        footprint: F32 = spots.pixel * density / np.sqrt(np.maximum(cosine, 0.05))
         return footprint
 
     def _density(self, uv_name: str) -> F32:
         """(F,) float32: a face's size in UV space over its size in radii, as lengths."""
         if uv_name not in self._densities:
-            coordinates = self._attribute(uv_name)
-            if coordinates is None:
-                raise KeyError(uv_name)
-            uv, corners = coordinates[0][self.soup.wedges], self.positions[self.faces]
-            d, e = uv[:, 1, :2] - uv[:, 0, :2], uv[:, 2, :2] - uv[:, 0, :2]
-            normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            area = np.sqrt(np.einsum("nd,nd->n", normals, normals))
-            flat = np.abs(d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0])
-            self._densities[uv_name] = np.sqrt(flat / np.maximum(area, np.float32(1e-30)))
+            self._densities[uv_name] = self._density_of(uv_name, slice(None))
         return self._densities[uv_name]
+
+    def _density_of(self, uv_name: str, faces: I32 | slice) -> F32:
+        """The same of some faces."""
+        coordinates = self._attribute(uv_name)
+        if coordinates is None:
+            raise KeyError(uv_name)
+        uv, corners = coordinates[0][self.soup.wedges[faces]], self.positions[self.faces[faces]]
+        d, e = uv[:, 1, :2] - uv[:, 0, :2], uv[:, 2, :2] - uv[:, 0, :2]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.sqrt(np.einsum("nd,nd->n", normals, normals))
+        flat = np.abs(d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0])
+        density: F32 = np.sqrt(flat / np.maximum(area, np.float32(1e-30)))
+        return density
 
     def _by_material(self, spots: Spots) -> Iterator[tuple[Look, NDArray[np.int64] | slice, Spots]]:
         """Each material that `spots` have: how it looks, the spots' rows, and the spots."""
