@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodpipe.core.asset import Asset
+from lodpipe.core.material import Material
 from lodpipe.core.mesh import F32, F64, I32
 from lodpipe.geometry.flatten import Soup
 from lodpipe.geometry.surface import Model, Spots
@@ -47,7 +48,8 @@ class Content:
         level's mean. A seam that moves by d shows the wrong colour in a strip d wide, contrast² · |e| · d; for the d
         about which it is decided, SLIP · edge, that is (LIGHT² / SLIP · contrast² · edge / |e|) · |e|² · d².
         """
-        model = Model(asset, textures=small(pixels.get), threads=threads)
+        bare = tuple(Material({k: v for k, v in m.gltf.items() if k != "normalTexture"}) for m in asset.materials)
+        model = Model(replace(asset, materials=bare), textures=small(pixels.get), threads=threads)
         areas = _areas(model)
         edge = float(np.sqrt(areas.sum() / max(finest, 1)))
         contrast = seam_contrasts(model, model.soup.wedges)
