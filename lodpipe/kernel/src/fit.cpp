@@ -118,7 +118,7 @@ class Fit {
         samples[i] = sample(f, i);
         int32_t to[3];
         for (int k = 0; k < 3; ++k) to[k] = in_.wedge_to[original.wedges[3 * static_cast<int64_t>(f) + k]];
-        hits[i] = target_.nearest(samples[i], to);
+        hits[i] = target_.nearest(samples[i], to, i > begin ? hits[i - 1].face : kNoFace);
       }
     });
     sort(hits);

@@ -1,6 +1,7 @@
 // Samples of the original, and where on the level each of them belongs.
 #pragma once
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "fit.h"
@@ -38,15 +39,21 @@ class Target {
       for (int f = begin; f < end; ++f) {
         const int32_t* v = mesh_.faces + 3 * static_cast<int64_t>(f);
         const Vec3 a = at[v[0]], b = at[v[1]], c = at[v[2]];
-        triangles_[f] = {a, b, c, cross(b - a, c - a)};
+        const Vec3 middle = (a + b + c) * (1.0f / 3);
+        const auto from = [&](Vec3 corner) { return dot(corner - middle, corner - middle); };
+        triangles_[f] = {a, b, c, cross(b - a, c - a), middle, std::sqrt(std::max({from(a), from(b), from(c)}))};
       }
     });
   }
 
-  // The nearest face round three wedges of the level (−1: none), and on from there.
-  Hit nearest(const Sample& s, const int32_t wedges[3]) const {
+  // The nearest face round three wedges of the level (−1: none), and on from there. `guess`: a face to begin with, or −1.
+  Hit nearest(const Sample& s, const int32_t wedges[3], int32_t guess) const {
     Hit hit;
     hit.distance2 = kInfinity;
+    if (guess != kNoFace && (has(guess, wedges[0]) || has(guess, wedges[1]) || has(guess, wedges[2]))) {
+      look(s, guess, hit);
+      if (hit.face != kNoFace && is_settled(hit)) return hit;
+    }
     for (int k = 0; k < 3; ++k) {
       const int32_t w = wedges[k];
       if (w == kNoFace || is_hub(w) || (k > 0 && w == wedges[0]) || (k > 1 && w == wedges[1])) continue;
@@ -66,7 +73,7 @@ class Target {
     Hit hit;
     hit.distance2 = kInfinity;
     look(s, before.face, hit);
-    if (hit.face == kNoFace) return nearest(s, mesh_.wedges + 3 * static_cast<int64_t>(before.face));
+    if (hit.face == kNoFace) return nearest(s, mesh_.wedges + 3 * static_cast<int64_t>(before.face), kNoFace);
     walk(s, hit);
     return hit;
   }
@@ -79,7 +86,8 @@ class Target {
   static constexpr int kHub = 512;           // faces round a wedge from which on samples come by its neighbours only
 
   struct Triangle {
-    Vec3 a, b, c, across;
+    Vec3 a, b, c, across, middle;
+    float radius;  // round the middle
   };
 
   bool is_hub(int32_t wedge) const { return wedges_.start[wedge + 1] - wedges_.start[wedge] > kHub; }
@@ -92,6 +100,10 @@ class Target {
   void look(const Sample& s, int32_t f, Hit& best) const {
     const Triangle& t = triangles_[f];
     if (!(dot(t.across, s.normal) > 0)) return;
+    // farther than the best so far, by the circle round it
+    const Vec3 to = s.at - t.middle;
+    const float away2 = dot(to, to), r2 = t.radius * t.radius;
+    if (const float gap = away2 - best.distance2 - r2; gap > 0 && gap * gap > 4 * best.distance2 * r2) return;
     const Hit found = closest(s.at, t, f);
     if (found.distance2 < best.distance2) best = found;
   }
