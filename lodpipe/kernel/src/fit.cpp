@@ -229,7 +229,7 @@ class Fit {
           for (int i = 0; i < 6; ++i) s.a[pair][i] += share_ * b[k] * b[l] * metric[i];
       }
     });
-    const float mass = kPrior * length(target_.across(f)) / 24;
+    const float mass = kPrior * target_.doubled_area(f) / 24;
     for (int pair = 0; pair < 6; ++pair) {
       const float m = pair == 0 || pair == 3 || pair == 5 ? 2 * mass : mass;
       s.a[pair][0] += m, s.a[pair][3] += m, s.a[pair][5] += m;
@@ -342,7 +342,7 @@ class Fit {
     std::vector<std::array<float, 6>> mass(faces);
     std::vector<float> right(static_cast<size_t>(faces) * 3 * width, 0.0f);
     for (int f = 0; f < faces; ++f) {
-      const float m = kPrior * length(target_.across(f)) / 24;
+      const float m = kPrior * target_.doubled_area(f) / 24;
       mass[f] = {2 * m, m, m, 2 * m, m, 2 * m};
     }
     misfit(off, [&](int32_t f, const float* b, const float* missing) {
