@@ -57,6 +57,7 @@ DEATHS = 3
 """How often, for each attempt that an asset has, the daemon itself may die with it before it counts as poison."""
 NEVER = float("inf")
 INTERRUPTED = "interrupted"
+_FORMATS = tuple(io.FORMATS)
 
 Submit = Callable[[Callable[[], Taken], Callable[[Taken], None]], None]
 """Runs the first, perhaps in a thread, and gives what it returns to the second."""
@@ -236,7 +237,7 @@ class Daemon:
 
     def _compare(self, now: float) -> None:
         """Judge every asset that is not at rest or is another one than when it was taken."""
-        found = {path for path in self._sight.tree if io.is_asset(Path(path))}
+        found = {path for path in self._sight.tree if path.lower().endswith(_FORMATS)}
         for key in found:
             row = self._ledger.rows.get(key)
             if row is None or row.state not in AT_REST or not self._settled(row, now):

@@ -6,6 +6,7 @@ anew whenever the configuration is read, and neither they nor the geometry behin
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import inspect
 import json
@@ -62,7 +63,7 @@ class Recipe:
         config = {key: value for key, value in self.config.items() if key not in _NO_INFLUENCE}
         return {"config": config, "stages": list(self.stages)}
 
-    @property
+    @functools.cached_property
     def id(self) -> str:
         """Hex digest of its influence: two recipes of one id make the same."""
         return hashlib.sha256(json.dumps(self.influence, sort_keys=True).encode()).hexdigest()

@@ -36,8 +36,8 @@ from lodpipe.service.watcher import Watcher, file_system, is_silent
 
 IDLE_SECONDS = 1.0
 """Longest wait: how soon commands, signals of other kinds and a changed configuration are seen."""
-SHORTEST_SECONDS = 0.05
-"""Between two looks, however many events come."""
+SHORTEST_SECONDS, BUSY_SHARE = 0.05, 0.2
+"""Between two looks, however many events come; and the share of the time that looking at a large folder may take."""
 CONFIG_SECONDS = 2.0
 DISK_SECONDS = 2.0
 MISHAPS = 10
@@ -218,7 +218,8 @@ class _Process:
             if every and now - last_ping >= every:
                 last_ping = now
                 notify("WATCHDOG=1")
-            time.sleep(SHORTEST_SECONDS)
+            took = self.clock.monotonic() - now
+            time.sleep(min(IDLE_SECONDS, max(SHORTEST_SECONDS, took * (1 / BUSY_SHARE - 1))))
             self.waker.wait(min(due - self.clock.monotonic(), IDLE_SECONDS))
 
     def _update_index(self) -> None:

@@ -1,7 +1,8 @@
 """The daemon's figures: `python tests/benchmarks/daemon.py [mass|kills|soak|all] …`, one table at the end.
 
 mass   N small assets of different content with 2 workers: published once each, memory, idle CPU, pick-up, overhead
-kills  kill -9 at random moments (daemon, worker, while publishing) with a reader that polls all results all the time
+kills  kill -9 at random moments, and a known share while a result is being published, before and after its rename; with
+       new and edited assets, and a reader that polls all results all the time
 soak   random drops, edits, renames, deletes, touches and kills for some time, then a comparison of both folders
 
 The checks share no code with the daemon: they read files, `/proc` and the log.
@@ -55,8 +56,9 @@ def write_model(path: Path, seed: int, cells: int = 8) -> None:
 class Daemon:
     """`lodpipe watch` in a process of its own, its log in a file."""
 
-    def __init__(self, root: Path, chain: dict = CHAIN) -> None:
+    def __init__(self, root: Path, chain: dict = CHAIN, plugins: Path | None = None) -> None:
         self.root, self.drop, self.out = root, root / "drop", root / "out"
+        self.options = ["--plugins", str(plugins)] if plugins else []
         self.drop.mkdir(parents=True, exist_ok=True)
         (root / "chain.yaml").write_text(json.dumps(chain))
         self.log = root / "log.jsonl"
@@ -66,7 +68,10 @@ class Daemon:
         command = [sys.executable, "-m", "lodpipe", "watch", str(self.drop), "-c", str(self.root / "chain.yaml")]
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
-                [*command, "-o", str(self.out), "--log", "json"], stderr=log, cwd=REPO, start_new_session=True
+                [*command, "-o", str(self.out), "--log", "json", *self.options],
+                stderr=log,
+                cwd=REPO,
+                start_new_session=True,
             )
 
     def kill(self) -> None:
@@ -78,9 +83,18 @@ class Daemon:
         return self.process.wait(timeout=60)
 
     def counts(self) -> dict[str, int]:
+        return self._ask("SELECT state, count(*) FROM asset GROUP BY state")
+
+    def states(self) -> dict[str, str]:
+        return {os.fsdecode(key): state for key, state in self._ask("SELECT key, state FROM asset").items()}
+
+    def revisions(self) -> dict[str, int]:
+        return {os.fsdecode(key): number for key, number in self._ask("SELECT key, revision FROM asset").items()}
+
+    def _ask(self, question: str) -> dict:
         try:
             base = sqlite3.connect(f"file:{self.out / '.lodpipe' / 'jobs.sqlite'}?mode=ro", uri=True, timeout=20)
-            found = dict(base.execute("SELECT state, count(*) FROM asset GROUP BY state").fetchall())
+            found = dict(base.execute(question).fetchall())
             base.close()
         except sqlite3.Error:
             return {}
@@ -272,64 +286,115 @@ def mass(root: Path, count: int) -> dict[str, object]:
     }
 
 
+SLOW_DISK = '''
+import os, time
+from lodpipe.core.asset import Asset
+from lodpipe.stage import Context, Params, stage
+
+fsync = os.fsync
+
+def slow(handle):
+    note = f"{NOTES}/{os.getpid()}"
+    with open(note, "w") as file:
+        file.write(os.readlink(f"/proc/self/fd/{handle}"))
+    time.sleep(0.05)
+    fsync(handle)
+    os.unlink(note)
+
+class SlowDiskParams(Params):
+    """None."""
+
+@stage("slow_disk")
+def slow_disk(asset: Asset, params: SlowDiskParams, context: Context) -> Asset:
+    """From now on what this worker has the disk hold takes a while, and is noted, so that a kill can be aimed."""
+    os.fsync = slow
+    return asset
+'''
+
+
+class Publishing:
+    """Which workers are publishing this moment: the last thing before the rename, and the first after it, is fsync."""
+
+    def __init__(self, root: Path, out: Path) -> None:
+        self.plugins, self.notes, self.out = root / "plugins", root / "notes", out
+        for folder in (self.plugins, self.notes):
+            folder.mkdir(parents=True)
+        (self.plugins / "slow_disk.py").write_text(SLOW_DISK.replace("{NOTES}", str(self.notes)))
+
+    def wait(self, before: bool, seconds: float) -> int:
+        """The process of a worker whose result is whole and not in its place yet, or just is; 0 if there is none."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            for note in self.notes.iterdir():
+                try:
+                    path = note.read_text()
+                    if path and (path != str(self.out)) == before and time.time() - note.stat().st_mtime < 0.04:
+                        return int(note.name)
+                except OSError:  # it goes on
+                    continue
+            time.sleep(0.002)
+        return 0
+
+
 def kills(root: Path, count: int) -> dict[str, object]:
-    daemon = Daemon(root)
+    publishing = Publishing(root, root / "out")
+    daemon = Daemon(root, CHAIN | {"stages": ["slow_disk", *CHAIN["stages"]]}, publishing.plugins)
     daemon.start()
     reader = Reader(daemon.out)
     reader.start()
     dice = random.Random(7)
-    number, done = 0, defaultdict(int)
+    contents, done = [], defaultdict(int)
     while sum(done.values()) < count:
-        # a few are always on their way
-        open_now = sum(n for state, n in daemon.counts().items() if state in ("settling", "queued", "running"))
-        while open_now < 6:
-            write_model(daemon.drop / f"asset{number:04}.obj", number, cells=dice.choice((6, 12, 40)))
-            number, open_now = number + 1, open_now + 1
-        kind = dice.choice(("daemon", "worker", "publish"))
-        if kind == "publish" and not _wait_for_publish(daemon.out, 10.0):
-            continue
-        if kind != "publish":
+        if daemon.process.poll() is not None:
+            raise SystemExit(f"the daemon has ended: {daemon.log.read_text()[-500:]}")
+        # a few are always on their way: new ones, and edits of what is published
+        states = daemon.states()
+        for _ in range(6 - sum(state in ("settling", "queued", "running") for state in states.values())):
+            number = dice.randrange(max(1, len(contents)))
+            name = f"asset{number:04}.obj"
+            if states.get(name) == "done" and dice.random() < 0.5:
+                contents[number] += 1
+                del states[name]
+            else:
+                number, name = len(contents), f"asset{len(contents):04}.obj"
+                contents.append(1)
+            write_model(daemon.drop / name, 10_000 * contents[number] + number, cells=dice.choice((6, 12, 40)))
+        moment = dice.choice(("any time", "any time", "before the rename", "after the rename"))
+        worker = 0
+        if moment == "any time":
             time.sleep(dice.uniform(0.0, 2.5))
-        victims = daemon.workers()
-        if kind == "daemon" or (kind == "publish" and dice.random() < 0.5) or not victims:
+            worker = dice.choice(daemon.workers() or [0])
+        elif not (worker := publishing.wait(moment == "before the rename", 10.0)):
+            continue
+        if dice.random() < 0.5 or not worker:
             daemon.kill()
-            done[f"{kind}: daemon" if kind == "publish" else "daemon"] += 1
+            done[f"daemon, {moment}"] += 1
             daemon.start()
         else:
             try:
-                os.kill(dice.choice(victims), signal.SIGKILL)
-                done[f"{kind}: worker" if kind == "publish" else "worker"] += 1
+                os.kill(worker, signal.SIGKILL)
+                done[f"worker, {moment}"] += 1
             except ProcessLookupError:
                 continue
-    counts = daemon.wait_idle(600, number)
+    counts = daemon.wait_idle(600, len(contents))
     reader.finish()
     code = daemon.stop()
     shas = published_shas(daemon.out)
     lost = [path.name for path in daemon.drop.glob("*.obj") if sha(path) not in shas]
-    twice = [name for name, inodes in reader.seen.items() if len(inodes) > 1]
+    twice = [name for name, inodes in reader.seen.items() if len(inodes) > contents[int(name[-4:])]]
+    revisions = daemon.revisions()
+    miscounted = [f"asset{n:04}.obj" for n, times in enumerate(contents) if revisions.get(f"asset{n:04}.obj") != times]
+    wrong = lost + twice + miscounted + reader.broken
     return {
         "kill -9": f"{sum(done.values())} ({', '.join(f'{n} {kind}' for kind, n in sorted(done.items()))})",
-        "assets": f"{number}; states {counts}",
+        "assets": f"{len(contents)}, {sum(contents)} contents; states {counts}",
         "lost / published twice / seen half": f"{len(lost)} / {len(twice)} / {len(reader.broken)}",
+        "revisions that are not the contents": len(miscounted),
         "looks of the reader": reader.looks,
         "exit code": code,
         "state": intact(daemon) or "intact",
-        **({"wrong": (lost + twice + reader.broken)[:5]} if lost or twice or reader.broken else {}),
+        **({"wrong": wrong[:5]} if wrong else {}),
     }
-
-
-def _wait_for_publish(out: Path, seconds: float) -> bool:
-    """Until a result has its manifest and is not yet in its place."""
-    end = time.monotonic() + seconds
-    state = out / ".lodpipe"
-    while time.monotonic() < end:
-        try:
-            for entry in os.scandir(state):
-                if entry.name.startswith("tmp-") and Path(entry.path, "built", "manifest.json").exists():
-                    return True
-        except OSError:
-            pass
-    return False
 
 
 def soak(root: Path, seconds: float) -> dict[str, object]:
@@ -383,7 +448,7 @@ def soak(root: Path, seconds: float) -> dict[str, object]:
     shas = published_shas(daemon.out)
     files = list(daemon.drop.glob("*.obj"))
     lost = [path.name for path in files if sha(path) not in shas]
-    stale = []
+    stale, third = [], max(1, len(memory) // 3)
     for path in files:
         own = daemon.out / path.stem / "manifest.json"
         if own.is_file() and json.loads(own.read_text())["inputs"][0]["sha256"] != sha(path):
@@ -394,7 +459,8 @@ def soak(root: Path, seconds: float) -> dict[str, object]:
         "at the end": f"{len(files)} files; states {counts}",
         "lost / stale / seen half": f"{len(lost)} / {len(stale)} / {len(reader.broken)}",
         "looks of the reader": reader.looks,
-        "daemon's memory": f"{max(memory, default=0):.0f} MB at most",
+        "daemon's memory": f"{max(memory):.0f} MB at most; mean of first third {statistics.mean(memory[:third]):.0f}, "
+        f"of last {statistics.mean(memory[-third:]):.0f}",
         "exit code": code,
         "state": intact(daemon) or "intact",
         **({"wrong": (lost + stale + reader.broken)[:5]} if lost or stale or reader.broken else {}),
