@@ -179,7 +179,7 @@ def _state_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def _config_arguments(parser: argparse.ArgumentParser, *, flag: bool) -> None:
-    text = "a YAML file, or a preset: default, fast"
+    text = "a YAML file, or a preset: default, fast, quality, baked"
     if flag:
         parser.add_argument(
             "-c", "--config", default="default", metavar="CONFIG", help=f"{text} (default: %(default)s)"

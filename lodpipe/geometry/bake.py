@@ -17,8 +17,9 @@ from lodpipe.geometry.atlas import pack, unfold
 from lodpipe.geometry.bake_mesh import Corners, rebuilt
 from lodpipe.geometry.bake_source import Found, SourceMesh
 from lodpipe.geometry.charts import borders_of
-from lodpipe.geometry.fill import fill_gaps
+from lodpipe.geometry.fill import fill_gaps, spread_colour
 from lodpipe.geometry.normals import unit
+from lodpipe.geometry.occlusion import Occlusion
 from lodpipe.geometry.slots import (
     BASE_COLOR,
     EMISSIVE,
@@ -136,6 +137,7 @@ def bake_level(
     reach: float,
     options: BakeOptions,
     *,
+    sky: Occlusion | None = None,
     layouts: Sequence[F64] | None = None,
     progress: Callable[[float], None] = lambda share: None,
     cancelled: Callable[[], bool] = lambda: False,
@@ -143,9 +145,10 @@ def bake_level(
     """New UVs and textures for `level`, sampled from `asset`'s meshes.
 
     `groups` are those of `groups_of` with their sizes; `sources` has a SourceMesh for each mesh that they name; `reach`
-    is how far in the scene's unit the source may lie from the level, each mesh at its largest placement. `layouts` has
-    UVs (F, 3, 2) in texels for each group's faces, part after part; left out, the level is unfolded. Raises Cancelled,
-    InvalidMesh where a texture is too small for its charts.
+    is how far in the scene's unit the source may lie from the level, each mesh at its largest placement. With `sky` the
+    occlusion map is made from it instead of the source's. `layouts` has UVs (F, 3, 2) in texels for each group's faces,
+    part after part; left out, the level is unfolded. Raises Cancelled, InvalidMesh where a texture is too small for its
+    charts.
     """
     baked = Baked(level.meshes, [])
     sizes = _placed_sizes(asset)
@@ -164,7 +167,7 @@ def bake_level(
             corners[number].put_uv(rows, packed[start : start + len(rows)] / group.side)
             start += len(rows)
     reaches = {number: reach / sizes.get(number, 1.0) for number in corners}
-    jobs = [_Job(asset, level.meshes, group, corners, sources, textures, reaches, options) for group in groups]
+    jobs = [_Job(asset, level.meshes, group, corners, sources, textures, reaches, options, sky) for group in groups]
     bent = {number for job in jobs if any(map(is_normal, job.paths)) for number, _ in job.group.parts}
     for number, part in corners.items():
         part.finish(number in bent, sources[number].corner_normals if options.same_surface else None)
@@ -219,6 +222,7 @@ class _Job:
         textures: SlotTextures,
         reach: Mapping[int, float],
         options: BakeOptions,
+        sky: Occlusion | None,
     ) -> None:
         self.group, self.corners, self.sources, self.reach, self.options = group, corners, sources, reach, options
         self.meshes = meshes
@@ -228,10 +232,18 @@ class _Job:
         self.slots: dict[tuple[int, Path], Slot] = {}
         for row, infos in self.infos.items():
             for path, info in infos.items():
-                slot = textures.slot(path, info) if options.wants(path) else None
+                clear = path == BASE_COLOR and self.materials[row].alpha_mode != "OPAQUE" and not options.same_surface
+                slot = textures.slot(path, info, spread=clear) if options.wants(path) else None
                 if slot is not None:
                     self.slots[row, path] = slot
         self.merged = len(group.materials) > 1
+        self.sky = sky
+        self.segments = {
+            number: np.full(len(meshes[number].faces), -1, np.int32)
+            if options.same_surface
+            else sources[number].segments_of(meshes[number])
+            for number, _ in group.parts
+        }
         self.paths = self._paths()
         self.texels = self.missed = 0
 
@@ -251,6 +263,8 @@ class _Job:
         unlit = any("KHR_materials_unlit" in m.gltf.get("extensions", {}) for m in self.materials.values())
         if wants(NORMAL) and not unlit:
             paths[NORMAL] = None
+        if wants(OCCLUSION) and self.sky is not None:
+            paths[OCCLUSION] = None
         return list(paths)
 
     def _differ(self, *names: str) -> bool:
@@ -280,12 +294,12 @@ class _Job:
             known[top : top + count] = total > 0
             for path, values in self._look(seen, uv, samples):
                 channels = images[path].shape[2]
-                mean = _boxes(values[..., :channels] * weight[..., None], samples)
-                mean /= np.maximum(total, np.float32(1e-12))[..., None]
-                images[path][top : top + count] = _encoded(mean, path)
+                images[path][top : top + count] = _encoded(_means(values[..., :channels], weight, samples), path)
             progress((top + count) / side)
         for image in images.values():
             fill_gaps(image, known)
+            if image.shape[2] == 4 and not self.options.same_surface:
+                spread_colour(image)
         return self._material(images)
 
     def _numbers(self) -> I32:
@@ -315,15 +329,13 @@ class _Job:
             points = np.einsum("nkd,nk->nd", mesh.positions[mesh.faces[faces]], weights)
             normals = unit(np.einsum("nkd,nk->nd", part.smooth[faces], weights).astype(np.float64))
             texel = _texel_width(mesh.positions[mesh.faces[faces]], own_uv) / samples
-            materials = mesh.face_material[faces]
-            for row in np.unique(materials).tolist():
-                chosen = np.flatnonzero(materials == row)
-                allowed = source.mesh.face_material == row
-                if not allowed.any():
-                    allowed = np.ones(len(allowed), bool)
+            kinds = np.stack([mesh.face_material[faces], self.segments[number][faces]], axis=1)
+            for row, segment in np.unique(kinds, axis=0).tolist():
+                chosen = np.flatnonzero((kinds == (row, segment)).all(axis=1))
                 if self.options.same_surface:
                     found = Found(faces[chosen], weights[chosen], np.zeros(len(chosen), bool))
                 else:
+                    allowed = source.allowed(row, segment)
                     found = source.find(points[chosen], normals[chosen], self.reach[number], allowed)
                 inside = seen.inside.ravel()[mine[chosen]]
                 self.texels += int(inside.sum())
@@ -334,6 +346,9 @@ class _Job:
                         slot = self.slots.get((row, path))
                         bent = source.normals(found, slot, texel[chosen])
                         results[path][at, :3] = part.encoded(faces[chosen], weights[chosen], bent)
+                    elif path == OCCLUSION and self.sky is not None:
+                        up = source.normals(found, None, texel[chosen]).astype(np.float64)
+                        results[path][at] = self.sky.at(number, source.points(found), up)[:, None]
                     else:
                         results[path][at] = self._values(row, path, source, found, texel[chosen])
         for path, values in results.items():
@@ -375,7 +390,7 @@ class _Job:
         if OCCLUSION in images and METALLIC_ROUGHNESS in images:
             images[METALLIC_ROUGHNESS][..., 0] = images.pop(OCCLUSION)[..., 0]
             shared[OCCLUSION] = METALLIC_ROUGHNESS
-        if not self.merged and OCCLUSION in [*images, *shared]:
+        if not self.merged and OCCLUSION in [*images, *shared] and self.sky is None:
             (row,) = self.group.materials
             strength = self.infos[row][OCCLUSION].get("strength")
             if strength is not None:
@@ -477,6 +492,21 @@ def _continue_outside(seen: layout.UvRaster, uv: F64, top: int) -> None:
     weights = np.stack([1 - v - w, v, w], axis=1)
     near = (np.abs(away).max(axis=1) <= OUTSIDE) & (np.abs(area) > 1e-9) & (np.abs(weights).max(axis=1) <= FARTHEST)
     seen.weights[rows[near], columns[near]] = weights[near]
+
+
+def _means(values: F32, weight: F32, samples: int) -> F32:
+    """Means by `weight` (h, w) over squares of `samples`² of (h, w, C); colours count by their alpha, if there is one,
+    so that what is not seen does not tint what is."""
+    tiny = np.float32(1e-12)
+    total = np.maximum(_boxes(weight[..., None], samples), tiny)
+    plain = _boxes(values * weight[..., None], samples) / total
+    if values.shape[2] < 4:
+        return plain.astype(np.float32)
+    opaque = weight * values[..., 3]
+    seen = _boxes(opaque[..., None], samples)
+    colour = _boxes(values[..., :3] * opaque[..., None], samples) / np.maximum(seen, tiny)
+    means: F32 = np.concatenate([np.where(seen > tiny, colour, plain[..., :3]), plain[..., 3:]], axis=2)
+    return means
 
 
 def _boxes(values: F32, samples: int) -> F32:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lodpipe.core.mesh import F32, F64, I32, Mesh, Primitive
-from lodpipe.geometry.normals import crease_normals, unit
+from lodpipe.geometry.normals import corner_angles, crease_normals, unit
 from lodpipe.geometry.tangents import corner_tangents
 
 LEAST_Z = 0.05
@@ -21,7 +21,7 @@ class Corners:
 
     smooth    (F, 3, 3) float32 unit: one normal for each position, so that rays leave no gaps at edges
     uv        (F, 3, 2) float32, what `put_uv` was given
-    normals   (F, 3, 3) float32 unit, the level's own; made smooth where it has none
+    normals   (F, 3, 3) float32 unit, the level's own; where it has none made smooth, but for creases at UV seams
     tangents  (F, 3, 4) float32 MikkTSpace, or None
     """
 
@@ -45,12 +45,23 @@ class Corners:
         if not normals:
             return
         stored = self.mesh.attributes.get("NORMAL")
-        self.normals = self.smooth.copy() if given is None else given
+        self.normals = self._creased() if given is None else given
         if stored is not None and given is None:
             has = np.array(["NORMAL" in p.attributes for p in self.mesh.primitives])[self.mesh.face_primitive]
             own = stored[self.mesh.wedges[has]]
             self.normals[has] = np.where(own.any(axis=2, keepdims=True), own, self.normals[has])
         self.tangents = corner_tangents(self.mesh.positions, self.mesh.faces, self.normals, self.uv)
+
+    def _creased(self) -> F32:
+        """One normal for each UV vertex, the mean of its corners' under a crease angle: an edge is hard where it is
+        sharp and a UV seam, since a normal map cannot change its frame in the middle of a chart."""
+        angles = corner_angles(self.mesh.positions, self.mesh.faces)
+        corners = crease_normals(self.mesh.positions, self.mesh.faces) * angles[..., None]
+        number = self.uv_number.ravel()
+        sums: F64 = np.stack([np.bincount(number, corners[..., k].ravel()) for k in range(3)], axis=1, dtype=np.float64)
+        made = unit(sums)[self.uv_number]
+        normals: F32 = np.where(made.any(axis=2, keepdims=True), made, self.smooth).astype(np.float32)
+        return normals
 
     def encoded(self, faces: I32, weights: F32, normals: F32) -> F32:
         """Unit `normals` (N, 3) in the tangent space at those places of the level, as 0…1.

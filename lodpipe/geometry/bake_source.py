@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lodpipe.core.mesh import F32, F64, I32, Mesh
+from lodpipe.geometry.bake_segments import CORNERS, SegmentFilter, asked
 from lodpipe.geometry.flatten import Bool
 from lodpipe.geometry.normals import crease_normals, unit
 from lodpipe.geometry.slots import Slot
@@ -32,10 +33,11 @@ class Found:
 
 
 class SourceMesh:
-    """One mesh of the source in its own space, made ready for look-ups."""
+    """One mesh of the source in its own space, made ready for look-ups; `segments` (V,) int32 if it has any."""
 
-    def __init__(self, mesh: Mesh, threads: int = 0) -> None:
+    def __init__(self, mesh: Mesh, threads: int = 0, segments: I32 | None = None) -> None:
         self.mesh = mesh
+        self._filter = None if segments is None or segments.max(initial=-1) < 1 else SegmentFilter(mesh, segments)
         self._threads = threads
         low = mesh.positions[mesh.faces].min(axis=(0, 1))
         high = mesh.positions[mesh.faces].max(axis=(0, 1))
@@ -77,6 +79,26 @@ class SourceMesh:
             faces[rest], missed[rest] = near_faces, far | turned
             weights[rest] = self._barycentric(near_faces, near)
         return Found(faces, weights, missed)
+
+    def segments_of(self, level: Mesh) -> I32:
+        """(F,) the segment of each face of a level, −1 for all without segments."""
+        if self._filter is None:
+            return np.full(len(level.faces), -1, np.int32)
+        scene, rows = self._scene(np.ones(len(self.mesh.faces), bool))
+        points = ((asked(level) - self.centre) / self.scale).astype(np.float32)
+        return self._filter.labels(rows[scene.closest(points)[1]].reshape(-1, len(CORNERS)))
+
+    def allowed(self, material: int, segment: int) -> Bool:
+        """(F,) the faces that a level's face of that material and segment may show: all where none may."""
+        alike: Bool = self.mesh.face_material == material
+        if self._filter is not None and segment >= 0 and (near := alike & self._filter.allowed(segment)).any():
+            return near
+        return alike if alike.any() else np.ones(len(alike), bool)
+
+    def points(self, found: Found) -> F64:
+        """(N, 3) where the places lie."""
+        points: F64 = np.einsum("nkd,nk->nd", self.mesh.positions[self.mesh.faces[found.faces]], found.weights)
+        return points
 
     def blended(self, name: str, found: Found) -> F32 | None:
         """(N, K) the attribute at the places, None if the mesh has none of it."""

@@ -36,6 +36,16 @@ def fill_gaps(image: U8, known: Bool) -> None:
             image[rows][gaps] = np.rint(_doubled(filled, rows, image.shape[1])[gaps]).astype(np.uint8)
 
 
+def spread_colour(image: U8) -> None:
+    """Give texels of `image` (H, W, 4) that cannot be seen (alpha 0) the colour of what is near, in place.
+
+    Filters blend it in at the edges of what can be seen.
+    """
+    colour = np.ascontiguousarray(image[..., :3])
+    fill_gaps(colour, image[..., 3] > 0)
+    image[..., :3] = colour
+
+
 def _halved(values: U8 | F32, weight: Bool | F32) -> tuple[F32, F32]:
     """Weighted means over squares of 2 × 2, and whether these have any weight (0 or 1)."""
     height, width = weight.shape

@@ -11,6 +11,7 @@ import numpy as np
 from lodpipe.core.asset import Asset
 from lodpipe.core.material import Material, TextureRef, texture_ref
 from lodpipe.core.mesh import F32, F64
+from lodpipe.geometry.fill import spread_colour
 from lodpipe.geometry.surface import image_index
 from lodpipe.geometry.texture import NEAREST, REPEAT, U8, Texture, uv_matrix
 
@@ -96,19 +97,24 @@ class SlotTextures:
 
     def __init__(self, asset: Asset, pixels: Mapping[int, U8]) -> None:
         self._asset, self._pixels = asset, pixels
-        self._made: dict[tuple[int, bool], Texture] = {}
+        self._made: dict[tuple[int, bool, bool], Texture] = {}
 
-    def slot(self, path: Path, info: Mapping[str, Any]) -> Slot | None:
-        """The slot's texture; None where its image is not there."""
+    def slot(self, path: Path, info: Mapping[str, Any], spread: bool = False) -> Slot | None:
+        """The slot's texture; None where its image is not there. With `spread` texels that cannot be seen (alpha 0)
+        take the colour of what is near, which mip levels and filters then mix in."""
         ref = texture_ref(info)
         assert ref is not None  # there is an info
         said = self._asset.document["textures"][ref.texture]
         image = image_index(said)
         if image is None or image not in self._pixels:
             return None
-        key = image, is_colour(path)
+        pixels = self._pixels[image]
+        key = image, is_colour(path), spread and pixels.shape[2] == 4
         if key not in self._made:
-            self._made[key] = Texture(self._pixels[image], srgb=is_colour(path))
+            if key[2]:
+                pixels = pixels.copy()
+                spread_colour(pixels)
+            self._made[key] = Texture(pixels, srgb=is_colour(path))
         sampler = self._asset.document["samplers"][said["sampler"]] if "sampler" in said else {}
         wrap = sampler.get("wrapS", REPEAT), sampler.get("wrapT", REPEAT)
         nearest = sampler.get("magFilter") == NEAREST

@@ -13,6 +13,7 @@ from lodpipe.geometry.bake import BakeOptions, Group, bake_level, groups_of
 from lodpipe.geometry.bake_size import auto_side
 from lodpipe.geometry.bake_source import SourceMesh
 from lodpipe.geometry.flatten import flatten
+from lodpipe.geometry.occlusion import Occlusion
 from lodpipe.geometry.slots import SlotTextures
 from lodpipe.geometry.switch import settle_switches
 from lodpipe.stage import Context, Params, stage
@@ -35,6 +36,8 @@ class BakeParams(Params):
     down to an eighth of it."""
     merge_materials: bool = False
     """Put materials that differ only in what a texture can hold into one, so that they are one draw call."""
+    occlusion: Literal["source", "rays"] = "source"
+    """`rays`: an occlusion map made from the shape of the source, in place of what its materials have."""
     format: Format = "png"
     """Of the images; normal maps stay lossless. KTX2 needs toktx or basisu on the machine."""
     quality: int = Field(90, ge=1, le=100)
@@ -58,6 +61,7 @@ def bake(asset: Asset, params: BakeParams, context: Context) -> Asset:
         if mesh.keep_reason:
             context.warn(f"mesh '{mesh.name}' keeps its textures: {mesh.keep_reason}")
     diagonal = flatten(asset).diagonal
+    sky = Occlusion(asset, threads=context.threads) if params.occlusion == "rays" else None
     levels = [asset.lods[0]]
     for number, level in enumerate(asset.lods[1:], 1):
         context.check_cancelled()
@@ -66,7 +70,8 @@ def bake(asset: Asset, params: BakeParams, context: Context) -> Asset:
             group.side = _side(params.size, number, asset, level, group)
             for index, _ in group.parts:
                 if index not in sources:
-                    sources[index] = SourceMesh(asset.meshes[index], context.threads)
+                    segments = asset.segments.vertex_segment[index] if asset.segments else None
+                    sources[index] = SourceMesh(asset.meshes[index], context.threads, segments)
         options = BakeOptions(
             maps=None if params.maps == "all" else tuple(params.maps),
             padding=params.padding,
@@ -82,6 +87,7 @@ def bake(asset: Asset, params: BakeParams, context: Context) -> Asset:
             textures,
             _reach(params.reach, level, diagonal),
             options,
+            sky=sky,
             progress=_progress(context, number - 1, len(asset.lods) - 1),
             cancelled=context.cancelled,
         )

@@ -50,8 +50,8 @@ class DecimateParams(Params):
     weighting: Literal["area", "area-angle", "uniform"] = "area"
     """What each face's plane weighs."""
     uvs: Literal["kept", "free"] = "kept"
-    """`free`: levels have no UVs, normals or vertex colours, whose seams then do not hold the surface back: for chains
-    in which `bake` follows, which gives them new ones."""
+    """`free`: levels have no UVs and vertex colours (and normals with `visual` alone), whose seams then do not hold the
+    surface back: for chains in which `bake` follows, which gives them new ones."""
     attributes: bool = DEFAULTS.attribute_cost
     """Whether UVs, normals and colours steer; if not they are carried all the same."""
     uv_weight: Weight = AttributeWeights.uv
@@ -106,7 +106,7 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
             context.warn(f"mesh '{mesh.name}' is not simplified: {mesh.keep_reason}")
     source = asset
     if params.uvs == "free":
-        asset = without_uvs(asset)
+        asset = without_uvs(asset, normals=params.metric == "visual")  # which fits them to the source
     similarity = _similarity(params)
     if similarity and asset.importance is not None and (asset.importance.pinned or asset.importance.shares):
         context.warn(f"`metric: {params.metric}` does not know pinned parts or shares of parts; they are left out")

@@ -12,14 +12,17 @@ from lodpipe.core.errors import Cancelled
 from lodpipe.core.material import Image, Material
 from lodpipe.core.mesh import Mesh, Primitive
 from lodpipe.geometry.bake import BakeOptions, bake_level, groups_of
+from lodpipe.geometry.bake_mesh import Corners
 from lodpipe.geometry.bake_source import SourceMesh
 from lodpipe.geometry.normals import unit
+from lodpipe.geometry.occlusion import Occlusion
 from lodpipe.geometry.slots import BASE_COLOR, EMISSIVE, METALLIC_ROUGHNESS, NORMAL, OCCLUSION, SlotTextures
 from lodpipe.geometry.texture import Texture
 from lodpipe.kernel.layout import uv_overlaps
 from meshes import box, grid
 
 SIDE = 256
+NEAR = {"magFilter": 9728}
 
 
 def checker(cells: int = 8, size: int = 128) -> np.ndarray:
@@ -58,14 +61,14 @@ def with_material(mesh: Mesh, material: int = 0) -> Mesh:
     return dataclasses.replace(mesh, primitives=(Primitive(material, tuple(mesh.attributes)),))
 
 
-def bake(asset: Asset, level: Mesh, images=(), side: int = SIDE, reach: float = 0.3, **options):
+def bake(asset: Asset, level: Mesh, images=(), side: int = SIDE, reach: float = 0.3, sky=None, **options):
     options = BakeOptions(**{"samples": 1, **options})
     groups = groups_of(asset, (level,), options.merge)
     for group in groups:
         group.side = side
     textures = SlotTextures(asset, dict(enumerate(images)))
     sources = {0: SourceMesh(asset.meshes[0], 1)}
-    return bake_level(asset, Lod((level,)), groups, sources, textures, reach, options)
+    return bake_level(asset, Lod((level,)), groups, sources, textures, reach, options, sky=sky)
 
 
 def looked_up(mesh: Mesh, pixels: np.ndarray, faces, weights, srgb: bool = True) -> np.ndarray:
@@ -223,6 +226,45 @@ def test_vertex_colours_go_into_the_texture():
     assert "COLOR_0" not in baked.meshes[0].attributes
     colour = looked_up(baked.meshes[0], baked.materials[0].maps[BASE_COLOR], *places(50))
     assert np.abs(colour[:, :3] - [1, 0.5, 0.25]).max() < 0.01
+
+
+def test_what_is_transparent_does_not_tint_what_is_not():
+    """Leaves of green on black that cannot be seen: neither an average of texels nor a mip level shows the black."""
+    cube = with_material(textured_cube())
+    leaves = np.zeros((128, 128, 4), np.uint8)
+    leaves[::2, ::2] = 0, 255, 0, 255
+    pbr = {"baseColorTexture": {"index": 0}}
+    asset = asset_of(cube, {"pbrMetallicRoughness": pbr, "alphaMode": "BLEND"}, images=(leaves,))
+    asset = dataclasses.replace(asset, document={"textures": [{"source": 0, "sampler": 0}], "samplers": [NEAR]})
+    baked = bake(asset, cube, images=(leaves,), side=64, samples=2)
+    image = baked.materials[0].maps[BASE_COLOR]
+    assert (image[..., 1] == 255).all() and 0 < image[..., 3].mean() < 128
+
+
+def test_an_occlusion_map_from_the_shape_alone():
+    cube = with_material(textured_cube())
+    asset = asset_of(cube, {})
+    dark = Mesh(cube.positions * 1.05, cube.faces)
+    sky = Occlusion(dataclasses.replace(asset, meshes=(cube, dark)), threads=1)
+    for scene, level in ((Occlusion(asset, threads=1), 255), (sky, 0)):
+        baked = bake(asset, cube, side=64, sky=scene)
+        (made,) = baked.materials
+        assert (made.maps[OCCLUSION] == level).mean() > 0.95
+    assert NORMAL in made.maps and "occlusionTexture" not in made.gltf
+
+
+def test_edges_are_hard_where_the_texture_is_cut():
+    """A cube without normals whose faces are charts of their own: flat shading; in one piece, it is smooth."""
+    cube = with_material(textured_cube())
+    flat = np.cross(*(np.diff(cube.positions[cube.faces], axis=1).transpose(1, 0, 2)))
+    cut = Corners(cube)
+    cut.put_uv(np.arange(12), np.arange(72).reshape(12, 3, 2) / 72.0)
+    cut.finish(True)
+    assert np.allclose(np.einsum("fkd,fd->fk", cut.normals, unit(flat)), 1, atol=1e-5)
+    whole = Corners(cube)
+    whole.put_uv(np.arange(12), np.arange(16).reshape(8, 2)[cube.faces] / 16.0)
+    whole.finish(True)
+    assert np.allclose(whole.normals, whole.smooth, atol=1e-5)
 
 
 def test_gutters_hold_the_colour_of_their_chart():

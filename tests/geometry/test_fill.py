@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lodpipe.geometry.fill import fill_gaps
+from lodpipe.geometry.fill import fill_gaps, spread_colour
 
 
 def test_known_texels_stay_and_gaps_take_what_is_near():
@@ -33,3 +33,12 @@ def test_with_all_or_nothing_known_nothing_changes():
     fill_gaps(image, np.ones((4, 4), bool))
     fill_gaps(image, np.zeros((4, 4), bool))
     assert (image == 7).all()
+
+
+def test_what_cannot_be_seen_takes_the_colour_of_what_can():
+    image = np.zeros((4, 4, 4), np.uint8)
+    image[0, 0] = 200, 100, 50, 9
+    image[3, 3] = 7, 7, 7, 0
+    spread_colour(image)
+    assert (image[..., :3] == [200, 100, 50]).all()
+    assert image[0, 0, 3] == 9 and image[1:, 1:, 3].max() == 0
