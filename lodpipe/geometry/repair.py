@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from lodpipe.geometry.charts import Charts, charts_of
 from lodpipe.geometry.flatten import Bool
 from lodpipe.geometry.slots import slots
 from lodpipe.geometry.topology import flat_faces, without_area
-from lodpipe.geometry.uv_defects import NO_TEXTURE, min_gutter, texels_of, texture_sizes
+from lodpipe.geometry.uv_defects import NO_TEXTURE, UvFigures, min_gutter, stretch_of, texels_of, texture_sizes
 from lodpipe.kernel import layout
 
 SMALLEST, LARGEST = 64, 8192
@@ -67,7 +67,7 @@ def _plan(asset: Asset, group: Group, sizes: dict[int, tuple[float, float]], opt
     textured = any(slots(asset.materials[row]) for row in group.materials if row >= 0)
     for number, rows in group.parts:
         mesh = asset.meshes[number]
-        own = _rows_of(charts_of(mesh, _uv_set(asset, group)), rows)
+        own = _rows_of(charts_of(mesh, uv_set(asset, group)), rows)
         wrong = np.ones(len(rows), bool)
         wrong[np.searchsorted(rows, own.rows)] = False
         solid = ~without_area(mesh)
@@ -143,6 +143,62 @@ def new_layout(
     return (*_packed(np.concatenate(uv), numbers.astype(np.int32), options, padding), problem)
 
 
+#: Figures of a layout and by how much, as a factor, each may be worse after a repair; `charts` and `seam_length` are
+#: not among them: what lies on itself has to be cut.
+HELD = {
+    "overlap_percent": 1.0,
+    "flipped_percent": 1.02,
+    "out_of_range_percent": 1.0,
+    "zero_area_faces": 1.0,
+    "missing_faces": 1.0,
+    "sliver_charts": 1.0,
+    "stretch_l2": 1.02,
+    "density_cv": 1.05,
+}
+ROUNDING = 1e-3
+"""Percents and coefficients that differ by no more are the same."""
+
+
+def worsened(before: UvFigures, after: UvFigures, padding: float) -> list[str]:
+    """Which figures of a layout a repair has made worse, in words; `padding` is the gutter that was asked for."""
+    told = []
+    for name, factor in HELD.items():
+        a, b = getattr(before, name), getattr(after, name)
+        if b > a * factor + ROUNDING:
+            told.append(f"{name} {a:.3g} → {b:.3g}")
+    a, b = before.min_gutter_texels, after.min_gutter_texels
+    if b < min(a, padding) - 0.01:
+        told.append(f"min_gutter_texels {a:.3g} → {b:.3g}")
+    return told
+
+
+def with_worst_anew(asset: Asset, planned: Plan, layout_: F64) -> Plan | None:
+    """The plan with the most stretched kept faces to be unfolded anew, where a layout (F, 3, 2) in texels stretches
+    more than the old one did; None where none is stretched more."""
+    sizes = texture_sizes(asset)
+    start, marked, any_ = 0, [], False
+    for (number, rows), own, wrong in zip(planned.group.parts, planned.charts, planned.anew, strict=True):
+        mesh = asset.meshes[number]
+        at = np.searchsorted(rows, own.rows)
+        corners = mesh.positions[mesh.faces[own.rows]]
+        new = layout_[start : start + len(rows)][at]
+        start += len(rows)
+        old = own.uv * texels_of(mesh, own, sizes)[:, None]
+        a, b = stretch_of(corners, old), stretch_of(corners, new)
+        total = float(np.sqrt(np.square(a).sum()))
+        more = wrong.copy()
+        if float(np.sqrt(np.square(b).sum())) > total * 1.01:
+            # the largest shares first, until what is left is no more than the whole was
+            order = np.argsort(-b)
+            left = np.square(b).sum() - np.cumsum(np.square(b[order]))
+            count = int(np.searchsorted(-left, -0.9 * total**2)) + 1
+            fresh = at[order[:count]]
+            any_ |= not more[fresh].all()
+            more[fresh] = True
+        marked.append(more)
+    return replace(planned, anew=tuple(marked)) if any_ else None
+
+
 def _packed(uv: F64, label: I32, options: RepairOptions, padding: float) -> tuple[F64, int, float]:
     uv = uv * _enlargement(uv, label)
     area = float(_flat_areas(uv).sum())
@@ -191,7 +247,7 @@ def _aligned(old: F64, new: F64, label: I32) -> F64:
     return new + shift[label][:, None]
 
 
-def _uv_set(asset: Asset, group: Group) -> str:
+def uv_set(asset: Asset, group: Group) -> str:
     """The UV set of the group's first texture."""
     for row in group.materials:
         if row >= 0:

@@ -226,6 +226,23 @@ def _tiles(charts: Charts) -> int:
     return int((steps.cumsum(axis=0).cumsum(axis=1) > 0).sum())
 
 
+def stretch_of(points: F64, texels: F64) -> F64:
+    """(N,) each face's part in the L2 stretch (its square root is what they add up to in squares): `points` (N, 3, 3),
+    UVs in `texels` (N, 3, 2), against the mean density; 0 for faces without area."""
+    p, q = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    s, t = texels[:, 1] - texels[:, 0], texels[:, 2] - texels[:, 0]
+    doubled = s[:, 0] * t[:, 1] - s[:, 1] * t[:, 0]
+    area = np.linalg.norm(np.cross(p, q), axis=1)
+    good = (area > 0) & ~flat_faces(texels)
+    safe = np.where(good, doubled, 1.0)[:, None]
+    by_u, by_v = (p * t[:, 1:] - q * s[:, 1:]) / safe, (q * s[:, :1] - p * t[:, :1]) / safe
+    squared = (np.einsum("nd,nd->n", by_u, by_u) + np.einsum("nd,nd->n", by_v, by_v)) / 2
+    total = float(area[good].sum()) or 1.0
+    mean = np.abs(doubled[good]).sum() / total
+    result: F64 = np.where(good, np.sqrt(squared * area / total * mean), 0.0)
+    return result
+
+
 def _distortion(mesh: Mesh, charts: Charts, texels: F64) -> tuple[float, float, float, float]:
     """L2 and largest stretch (Sander, Snyder, Gortler & Hoppe 2001, section 3), spread and range of the density."""
     points = mesh.positions[mesh.faces[charts.rows]]

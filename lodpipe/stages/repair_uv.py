@@ -10,20 +10,25 @@ from pydantic import Field
 
 from lodpipe.core.asset import Asset, Lod
 from lodpipe.core.errors import InvalidMesh
+from lodpipe.core.mesh import F64
 from lodpipe.geometry.bake import BakeOptions, Group, bake_level, groups_of
 from lodpipe.geometry.bake_source import SourceMesh
 from lodpipe.geometry.camera import Camera, views
+from lodpipe.geometry.charts import charts_of
 from lodpipe.geometry.render import render
-from lodpipe.geometry.repair import Plan, RepairOptions, new_layout, plan
+from lodpipe.geometry.repair import Plan, RepairOptions, new_layout, plan, uv_set, with_worst_anew, worsened
 from lodpipe.geometry.slots import SlotTextures
 from lodpipe.geometry.surface import Model
 from lodpipe.geometry.texture import Textures
+from lodpipe.geometry.uv_defects import texture_sizes, uv_defects, uv_figures
 from lodpipe.io import pixels_of
 from lodpipe.stage import Context, Params, stage
 from lodpipe.stages._textures import Encoding, Format, decoded, finished
 
 VIEWS, SIZE = 6, 384
 """Pictures by which a repair is judged."""
+ROUNDS = 3
+"""How often a layout is made anew with more faces to unfold."""
 
 
 class RepairUvParams(Params):
@@ -34,6 +39,8 @@ class RepairUvParams(Params):
     one_to_one: bool = False
     """Ask for texels of its own for every face, as bakes and comparisons by UVs do: overlaps, mirrored halves and
     tiling then count as broken too. Without it only missing UVs do."""
+    merge_materials: bool = False
+    """Put materials that differ only in what a texture can hold into one atlas, those of several meshes too."""
     padding: float = Field(4.0, ge=1, le=64)
     """Least distance between two charts, in texels."""
     size: int | None = Field(None, ge=16, le=16384)
@@ -66,14 +73,24 @@ def repair_uv(asset: Asset, params: RepairUvParams, context: Context) -> Asset:
         always=params.when == "always",
         seconds=params.seconds,
     )
-    plans = [p for p in plan(asset, groups_of(asset, asset.meshes, merge=False), options) if p.reasons]
+    groups = groups_of(asset, asset.meshes, merge=params.merge_materials)
+    plans = [p for p in plan(asset, groups, options) if p.reasons or len(p.group.materials) > 1]
     context.record("repaired_materials", len(plans))
     if not plans:
         return asset
     for mesh in asset.meshes:
         if mesh.keep_reason:
             context.warn(f"mesh '{mesh.name}' keeps its UVs: {mesh.keep_reason}")
-    repaired = _repaired(asset, plans, options, params, context)
+    while plans:
+        repaired = _repaired(asset, plans, options, params, context)
+        worse = _worse(asset, repaired, plans, params, context)
+        if not worse:
+            break
+        for number, told in worse.items():
+            context.warn(f"mesh '{asset.meshes[number].name}' keeps its UVs: a repair would make worse {told}")
+        plans = [p for p in plans if not any(number in worse for number, _ in p.group.parts)]
+    else:
+        return asset
     psnr = _likeness(asset, repaired, context)
     context.record("psnr", psnr, "dB")
     if psnr < params.least_psnr:
@@ -94,7 +111,7 @@ def _repaired(
         names = [asset.materials[row].name or f"materials[{row}]" for row in planned.group.materials if row >= 0]
         name = ", ".join(names) or "default material"
         try:
-            uv, side, scale, problem = new_layout(asset, planned, options, context.cancelled)
+            planned, (uv, side, scale, problem) = _laid_out(asset, planned, options, context)
         except InvalidMesh as error:
             context.warn(f"{name}: not repaired: {error}")
             continue
@@ -128,6 +145,37 @@ def _repaired(
     made = finished(asset, level, baked, encoding, context)
     whole = asset.at(made)
     return dataclasses.replace(whole, lods=(Lod(whole.meshes),))
+
+
+def _laid_out(
+    asset: Asset, planned: Plan, options: RepairOptions, context: Context
+) -> tuple[Plan, tuple[F64, int, float, str]]:
+    """A layout that is stretched no more than the old one: faces that are to blame are unfolded anew, too."""
+    made = new_layout(asset, planned, options, context.cancelled)
+    for _ in range(ROUNDS):
+        again = with_worst_anew(asset, planned, made[0])
+        if again is None:
+            break
+        planned, made = again, new_layout(asset, again, options, context.cancelled)
+    return planned, made
+
+
+def _worse(before: Asset, after: Asset, plans: list[Plan], params: RepairUvParams, context: Context) -> dict[int, str]:
+    """Mesh -> what has become worse; how many more charts and how much longer seams there are goes into the report."""
+    told = {}
+    sizes = [texture_sizes(asset) for asset in (before, after)]
+    read = {number: uv_set(before, planned.group) for planned in plans for number, _ in planned.group.parts}
+    for number, name in read.items():
+        old, new = before.meshes[number], after.meshes[number]
+        if old is new:
+            continue
+        a = uv_figures(old, charts_of(old, name), name, sizes[0])
+        b = uv_defects(new, sizes[1])[0]
+        context.record(f"{old.name}.charts", b.charts - a.charts)
+        context.record(f"{old.name}.seams", b.seam_length - a.seam_length, "diagonals")
+        if worse := worsened(a, b, params.padding):
+            told[number] = ", ".join(worse)
+    return told
 
 
 def _likeness(before: Asset, after: Asset, context: Context) -> float:
