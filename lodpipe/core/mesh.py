@@ -58,7 +58,7 @@ class Mesh:
     face_primitive: I32 = None  # type: ignore[assignment]  # never None once constructed
     primitives: tuple[Primitive, ...] = ()
     name: str = ""
-    #: Why a stage must pass this mesh on as it is (skinned, morph targets, …); empty: it may be simplified.
+    #: Why stages must pass this mesh on as it is; empty: it may be simplified.
     keep_reason: str = ""
 
     def __post_init__(self) -> None:

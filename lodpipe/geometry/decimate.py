@@ -17,7 +17,7 @@ from lodpipe.core.asset import Asset, Lod, Target
 from lodpipe.core.errors import Cancelled, InvalidMesh
 from lodpipe.core.mesh import F32, Mesh
 from lodpipe.geometry.content import Content
-from lodpipe.geometry.joined import AttributeWeights, Joined, Unseen
+from lodpipe.geometry.joined import AttributeWeights, Joined, Unseen, without_doubles
 from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.shading import with_normals
 from lodpipe.geometry.similarity import decimate_joined
@@ -81,6 +81,7 @@ def decimate_asset(
     options = options or QuadricOptions()
     source = Lod(meshes=asset.meshes)
     visual = metric == "visual" and isinstance(options, QuadricOptions)
+    asset = replace(asset, meshes=tuple(m if m.keep_reason else without_doubles(m) for m in asset.meshes))
     if visual:
         asset = replace(asset, meshes=tuple(m if m.keep_reason else with_normals(m) for m in asset.meshes))
     joined = Joined.of(asset)
@@ -98,7 +99,8 @@ def decimate_asset(
         content = Content.of(asset, pixels or {}, min(finest, default=1), threads)
         seam_scale = joined.from_soup(asset, content.soup, content.seams / max(options.seam_weight, 1e-6))
         if not options.attribute_cost:
-            options, weights = replace(options, attribute_cost=True), AttributeWeights(uv=content.uv)
+            options = replace(options, attribute_cost=True)
+            weights = AttributeWeights(uv=content.uv, motion=(weights or AttributeWeights()).motion)
 
     def step(done: int, total: int) -> bool:
         progress(done, total)
@@ -115,7 +117,8 @@ def decimate_asset(
             record=options.record or by_error,
             keep_last=fixed == 0,
             chart_column=joined.chart_column,
-            follow=fits,
+            attribute_cost=options.attribute_cost or joined.moves,
+            follow=fits or joined.moves,
         )
 
         def run(factors: F32 | None, wanted: list[int]) -> kernel.Decimation:

@@ -18,12 +18,17 @@ from lodpipe.geometry.distance import distance_between
 from lodpipe.geometry.extreme import Guide, extreme_levels
 from lodpipe.geometry.flatten import Bool, Soup, flatten, largest_placement
 from lodpipe.geometry.parts import hold_shares
+from lodpipe.geometry.poses import motion
 from lodpipe.geometry.progressive import rebuild
+from lodpipe.geometry.rig import carry, is_rig
 from lodpipe.geometry.switch import SCREEN_HEIGHT
 from lodpipe.geometry.visible import coarsest
 from lodpipe.kernel import QuadricOptions
 from lodpipe.kernel.similarity import SimilarityOptions
+from lodpipe.kernel.tables import unique_rows
 
+MOTION = "motion"
+"""How the poses move a vertex, among the attributes while a rigged mesh is simplified (`lodpipe.geometry.poses`)."""
 ERROR_SAMPLES = 20_000  # of a measurement while a level is searched for its error
 
 
@@ -36,16 +41,37 @@ class AttributeWeights:
     """What attributes are worth against distance, when they steer (`QuadricOptions.attribute_cost`).
 
     A weight of 1 prices a texture that slips by a length like a surface that is off by that length; a normal or colour
-    that is off by 1 like a surface that is off by the mean edge length of the level asked for.
+    that is off by 1 like a surface that is off by the mean edge length of the level asked for. The motion of rigged
+    meshes steers always: a weight of 1 prices a vertex that is off by a length, on average over the poses, like one
+    that is off by it at rest.
     """
 
     uv: float = 0.1
     normal: float = 0.05
     color: float = 0.1
+    motion: float = 0.4
 
 
 HIDDEN = 0.05
 """What is never seen from outside counts so much in the visual metric."""
+
+
+def without_doubles(mesh: Mesh) -> Mesh:
+    """The mesh without wedges that repeat another of their position and primitive.
+
+    Some exporters give every corner of every triangle a vertex of its own: an edge between equal ones is no seam.
+    """
+    if not mesh.attributes or mesh.wedge_count <= len(mesh.positions):
+        return mesh
+    rows = len(next(iter(mesh.attributes.values())))
+    place, owner = np.zeros(rows, np.int32), np.zeros(rows, np.int32)
+    place[mesh.wedges] = mesh.faces
+    owner[mesh.wedges] = mesh.face_primitive[:, None]
+    keys = [np.stack([place, owner], axis=1), *(values + np.float32(0) for values in mesh.attributes.values())]
+    first, row = unique_rows(np.concatenate([key.view(np.uint32) for key in keys], axis=1))
+    if len(first) == rows:
+        return mesh
+    return replace(mesh, wedges=row[mesh.wedges], attributes={n: v[first] for n, v in mesh.attributes.items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +88,7 @@ class Joined:
     widths: list[int]
     values: F32  # (W, K), unscaled
     vertex_start: list[int]
+    wedge_start: list[int]
     face_start: list[int]
     pinned: Bool | None = None  # (V,) vertices that stay
 
@@ -72,15 +99,15 @@ class Joined:
         for index, matrix in asset.instances():
             places.setdefault(index, []).append(matrix)
         matrices = [largest_placement(places.get(i, [])) for i in used]
-        names = list(dict.fromkeys(name for i in used for name in asset.meshes[i].attributes))
-        widths = [max(_width(asset.meshes[i], name) for i in used) for name in names]
+        meshes = {i: _with_motion(asset, i, matrix) for i, matrix in zip(used, matrices, strict=True)}
+        names = list(dict.fromkeys(name for mesh in meshes.values() for name in mesh.attributes))
+        widths = [max(_width(mesh, name) for mesh in meshes.values()) for name in names]
         positions, faces, wedges, values, importance = [], [], [], [], []
         vertices = corners = 0
-        vertex_start, face_start = [0], [0]
+        vertex_start, wedge_start, face_start = [0], [0], [0]
         for i, matrix in zip(used, matrices, strict=True):
-            mesh = asset.meshes[i]
-            identity = np.array_equal(matrix, np.eye(4))
-            positions.append(mesh.positions if identity else mesh.positions @ matrix[:3, :3].T + matrix[:3, 3])
+            mesh = meshes[i]
+            positions.append(_placed(mesh, matrix))
             faces.append(mesh.faces + np.int32(vertices) if vertices else mesh.faces)
             own, rows = _wedges(mesh)
             wedges.append(own + np.int32(corners) if corners else own)
@@ -90,6 +117,7 @@ class Joined:
             vertices += len(mesh.positions)
             corners += rows
             vertex_start.append(vertices)
+            wedge_start.append(corners)
             face_start.append(face_start[-1] + len(mesh.faces))
         weight = np.concatenate(importance) if importance else np.empty(0, np.float32)
         return Joined(
@@ -103,9 +131,15 @@ class Joined:
             widths,
             _join(values, sum(widths), np.float32),
             vertex_start,
+            wedge_start,
             face_start,
             _pinned(asset, used),
         )
+
+    @property
+    def moves(self) -> bool:
+        """Whether a mesh is rigged."""
+        return MOTION in self.names
 
     @property
     def chart_column(self) -> int | None:
@@ -117,7 +151,8 @@ class Joined:
     def columns(self, options: QuadricOptions, weights: AttributeWeights, finest: int) -> tuple[F32, list[float]]:
         """The attribute table as the kernel takes it, and what a unit of each column is worth."""
         if not options.attribute_cost or not len(self.faces):
-            return self.values, [0.0] * self.values.shape[1]
+            steering = [weights.motion if name == MOTION else 0.0 for name in self.names]
+            return self.values, np.repeat(steering, self.widths).tolist()
         corners = self.positions[self.faces]
         areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         edge = float(np.sqrt(areas.sum() / 2 / finest))
@@ -127,7 +162,9 @@ class Joined:
             table = self.values[:, start : start + width]
             start += width
             worth = 0.0
-            if name == "NORMAL":
+            if name == MOTION:
+                worth = weights.motion
+            elif name == "NORMAL":
                 worth = weights.normal * edge
             elif name == "COLOR_0":
                 worth = weights.color * edge
@@ -208,7 +245,7 @@ class Joined:
             quadric,
             attribute_cost=False,
             record=False,
-            follow=False,
+            follow=self.moves,
             keep_topology=True,
             may_relax=False,
             chart_column=self.chart_column,
@@ -274,6 +311,7 @@ class Joined:
             back = np.linalg.inv(matrix[:3, :3])
             positions[moved] = (level.positions[vertices[moved]] - matrix[:3, 3]) @ back.T
         changed = level.wedge_source[rows] < 0
+        rig = self._rig(source, number, level, positions, np.where(moved, -1, old), vertices, rows, faces, wedges)
         attributes: dict[str, F32] = {}
         start = 0
         for name, width in zip(self.names, self.widths, strict=True):
@@ -281,6 +319,7 @@ class Joined:
                 table = level.values[rows, start : start + source.attributes[name].shape[1]]
                 attributes[name] = _valid(name, table, changed)
             start += width
+        attributes = {name: attributes[name] if name in attributes else rig[name] for name in source.attributes}
         return Mesh(
             positions=positions,
             faces=faces.reshape(-1, 3).astype(np.int32),
@@ -290,6 +329,31 @@ class Joined:
             primitives=source.primitives,
             name=source.name,
         )
+
+    def _rig(
+        self,
+        source: Mesh,
+        number: int,
+        level: kernel.Level,
+        positions: F64,
+        old: I32,
+        vertices: Any,
+        rows: Any,
+        faces: Any,
+        wedges: Any,
+    ) -> dict[str, F32]:
+        """The joints, weights and targets of the part of a level that came from one mesh."""
+        if not any(is_rig(name) for name in source.attributes):
+            return {}
+        vertex_of = np.empty(len(rows), np.int32)
+        vertex_of[wedges.ravel()] = faces.ravel()
+        first = self.vertex_start[number]
+        vertex_to = _local(level.vertex_to[first : first + len(source.positions)], vertices)
+        count = len(next(iter(source.attributes.values())))
+        first = self.wedge_start[number]
+        wedge_to = _local(level.wedge_to[first : first + count], rows)
+        wedge_old = np.where(old[vertex_of] < 0, -1, level.wedge_source[rows] - first).astype(np.int32)
+        return carry(source, positions, old.astype(np.int32), vertex_to, vertex_of, wedge_old, wedge_to)
 
     def search_error(self, asset: Asset, goal: Target, result: kernel.Decimation) -> Lod:
         """The coarsest level whose measured distance to the source is within the goal, by bisection of the record."""
@@ -346,6 +410,30 @@ def _pinned(asset: Asset, used: list[int]) -> Bool | None:
     if asset.importance is None or not asset.importance.pinned or not used:
         return None
     return np.concatenate([asset.importance.pinned[index] for index in used])
+
+
+def _placed(mesh: Mesh, matrix: F64) -> F64:
+    return mesh.positions if np.array_equal(matrix, np.eye(4)) else mesh.positions @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def _with_motion(asset: Asset, row: int, matrix: F64) -> Mesh:
+    """The mesh with MOTION, at least one column of it, in place of its rig's attributes."""
+    mesh = asset.meshes[row]
+    if not any(is_rig(name) for name in mesh.attributes):
+        return mesh
+    moved = motion(asset, row, _placed(mesh, matrix))
+    table = np.zeros((len(next(iter(mesh.attributes.values()))), max(moved.shape[1], 1)), np.float32)
+    if moved.shape[1]:
+        table[mesh.wedges] = moved[mesh.faces]
+    return replace(mesh, attributes={n: v for n, v in mesh.attributes.items() if not is_rig(n)} | {MOTION: table})
+
+
+def _local(target: I32, chosen: I32) -> I32:
+    """Rows of a level as rows of `chosen`, which ascends; −1 for those that are not in it."""
+    if not len(target) or not len(chosen):
+        return np.full(len(target), -1, np.int32)
+    row = np.minimum(np.searchsorted(chosen, target), len(chosen) - 1)
+    return np.where(chosen[row] == target, row, -1).astype(np.int32)
 
 
 def _width(mesh: Mesh, name: str) -> int:

@@ -48,6 +48,8 @@ def rebuild(positions: F64, faces: I32, wedges: I32, values: F32, record: Record
         vertex_source=np.where(moved[used], -1, used).astype(np.int32),
         face_source=np.flatnonzero(keep).astype(np.int32),
         wedge_source=np.where(changed[rows], -1, rows).astype(np.int32) if values.shape[1] else rows.astype(np.int32),
+        vertex_to=_among(used, target),
+        wedge_to=_among(rows, wedge_target if values.shape[1] else np.arange(len(values), dtype=np.int32)),
     )
 
 
@@ -66,6 +68,13 @@ def _ends(count: int, removed: I32, kept: I32) -> I32:
         if np.array_equal(further, target):
             return target
         target = further
+
+
+def _among(used: I32, target: I32) -> I32:
+    """Where each of `target` stands in `used`, −1 for those that are not there."""
+    row = np.full(int(max(target.max(initial=0), used.max(initial=0))) + 1, -1, np.int32)
+    row[used] = np.arange(len(used), dtype=np.int32)
+    return row[target]
 
 
 def _last(rows: I32) -> tuple[I32, I32]:

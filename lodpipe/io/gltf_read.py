@@ -144,7 +144,6 @@ class _Reader:
         """All triangle primitives of a mesh as one; the other primitives are carried in `document`."""
         said = self.tree["meshes"][row]
         parts = []
-        has_targets = False
         for i, primitive in enumerate(said["primitives"]):
             place = f"meshes[{row}].primitives[{i}]"
             if primitive.get("mode", TRIANGLES) < TRIANGLES:
@@ -154,14 +153,12 @@ class _Reader:
             if "POSITION" not in primitive["attributes"]:
                 self.warn(f"{place} has no POSITION; left out")
                 continue
-            has_targets |= bool(primitive.get("targets"))
             try:
                 parts.append(self._part(primitive, self._skin_joints.get(row), place))
             except (AssetError, LimitError) as error:
                 raise (error if error.place.startswith("buffer") else error.at(place)) from error
-        reasons = [r for r, is_so in (("skinned", row in self._skin_joints), ("morph targets", has_targets)) if is_so]
         title = str(said.get("name", ""))
-        return build_mesh(parts, f"meshes[{row}]", self.warn, name=title, keep_reason=" and ".join(reasons))
+        return build_mesh(parts, f"meshes[{row}]", self.warn, name=title)
 
     def _part(self, said: Json, joints: int | None, place: str) -> Part:
         squeezed = said.get("extensions", {}).get(draco.EXTENSION)

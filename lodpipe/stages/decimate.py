@@ -60,6 +60,9 @@ class DecimateParams(Params):
     """1 prices a normal that is off by 1 like a surface that is off by the level's mean edge length."""
     color_weight: Weight = AttributeWeights.color
     """The same for vertex colours."""
+    motion_weight: Weight = AttributeWeights.motion
+    """Skinned and morphing meshes: 1 prices a vertex that is off in their poses like one that is off at rest; 0: only
+    the rest pose counts."""
     boundary_weight: Weight = DEFAULTS.boundary_weight
     """How strongly open borders are held."""
     seam_weight: Weight = DEFAULTS.seam_weight
@@ -116,7 +119,7 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
         asset,
         context.lods,
         options,
-        weights=AttributeWeights(params.uv_weight, params.normal_weight, params.color_weight),
+        weights=AttributeWeights(params.uv_weight, params.normal_weight, params.color_weight, params.motion_weight),
         metric="visual" if params.metric == "visual" else "quadric",
         pixels=pixels,
         unseen=_sight(asset, context),

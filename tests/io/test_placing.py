@@ -45,7 +45,7 @@ def test_levels_of_the_rich_model(tmp_path: Path, errors_of: ErrorsOf) -> None:
     assert "MSFT_lod" in tree["extensionsUsed"] and "MSFT_lod" not in tree.get("extensionsRequired", ())
     nodes = tree["nodes"]
     with_levels = {i: n["extensions"]["MSFT_lod"]["ids"] for i, n in enumerate(nodes) if "MSFT_lod" in str(n)}
-    assert len(with_levels) == 2, "the skinned mesh is the same in all levels"
+    assert len(with_levels) == 2, "the arm is the same in all levels"
     for i, ids in with_levels.items():
         assert len(ids) == 2
         assert nodes[i]["extras"]["MSFT_screencoverage"] == [0.5, 0.2, 0.01]
