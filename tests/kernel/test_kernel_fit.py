@@ -151,6 +151,16 @@ def test_a_hub_of_very_many_faces():
     np.testing.assert_allclose(fitted.values, fitted.positions, atol=0.02)
 
 
+def test_samples_that_lose_their_face():
+    """Few samples on rough surfaces: some have no face that looks their way after a move, and stay out."""
+    for seed in range(12):
+        positions, faces = bumpy(2)
+        positions = positions + np.random.default_rng(seed).normal(0, 0.3, positions.shape)
+        wedges, values, level = made(positions, faces, max(len(faces) // 4, 4))
+        fitted = kernel.fit(positions, faces, wedges, values, level, 30 + 10 * seed, moves=4)
+        assert np.isfinite(fitted.positions).all() and np.isfinite(fitted.values).all()
+
+
 def test_without_values_positions_are_fitted_alone():
     positions, faces = bumpy(4, 0.03)
     wedges, values, level = made(positions, faces, 120, values=np.empty((len(positions), 0), np.float32))

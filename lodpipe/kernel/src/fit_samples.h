@@ -67,8 +67,9 @@ class Target {
     return hit;
   }
 
-  // The same from the face where the sample was.
+  // The same from the face where the sample was, if it had one.
   Hit again(const Sample& s, const Hit& before) const {
+    if (before.face == kNoFace) return before;
     Hit hit;
     if (settle(s, before.face, hit)) return hit;
     hit.distance2 = kInfinity;
