@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -97,7 +98,7 @@ class Model:
         self._threads = threads
         self._rays: RayScene | None = None
         images = Textures() if textures is None else textures
-        self.looks = [_look(material, asset.document, images) for material in (*asset.materials, Material())]
+        self.looks, self._look_of = _looks([*asset.materials, Material()], asset.document, images)
 
     def prepare(self) -> None:
         """Make all that pictures need: afterwards several threads may take them at once."""
@@ -202,7 +203,7 @@ class Model:
 
     def unlit(self, spots: Spots) -> NDArray[np.bool_]:
         """(N,) bool: whether the material asks for its colour without light (KHR_materials_unlit)."""
-        return np.array([look.unlit for look in self.looks])[self.soup.face_material[spots.faces]]
+        return np.array([look.unlit for look in self.looks])[self._look_of[self.soup.face_material[spots.faces]]]
 
     def add_emission(self, spots: Spots, lit: F32) -> None:
         """Add to `lit` (N, 3), linear, what the materials shine with by themselves."""
@@ -337,15 +338,15 @@ class Model:
         return density
 
     def _by_material(self, spots: Spots) -> Iterator[tuple[Look, NDArray[np.int64] | slice, Spots]]:
-        """Each material that `spots` have: how it looks, the spots' rows, and the spots."""
-        material = self.soup.face_material[spots.faces]
-        kinds = np.flatnonzero(np.bincount(material + 1)) - 1  # the default material, −1, is the last of `looks`
+        """Each look that `spots` have, the spots' rows, and the spots."""
+        kind = self._look_of[self.soup.face_material[spots.faces]]
+        kinds = np.flatnonzero(np.bincount(kind))
         if len(kinds) == 1:
             yield self.looks[kinds[0]], slice(None), spots
             return
-        for index in kinds:
-            rows = np.flatnonzero(material == index)
-            yield self.looks[index], rows, spots.take(rows)
+        order = np.argsort(kind, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(kind[order])) + 1):
+            yield self.looks[kind[rows[0]]], rows, spots.take(rows)
 
     def _attribute(self, name: str) -> tuple[F32, NDArray[np.bool_]] | None:
         if name not in self._attributes:
@@ -371,6 +372,23 @@ class Model:
     @cached_property
     def _creased(self) -> F32:
         return crease_normals(self.positions, self.faces, CREASE)
+
+
+def _looks(
+    materials: Sequence[Material], document: Mapping[str, Any], images: Textures
+) -> tuple[list[Look], NDArray[np.intp]]:
+    """The different looks of `materials`, and of each material the row of its look. −1 stands for the last material."""
+    row_of: dict[str, int] = {}
+    looks: list[Look] = []
+    rows = []
+    for material in materials:
+        seen = {key: value for key, value in material.gltf.items() if key not in ("name", "extras")}
+        key = json.dumps(seen, sort_keys=True, default=str)
+        if key not in row_of:
+            row_of[key] = len(looks)
+            looks.append(_look(material, document, images))
+        rows.append(row_of[key])
+    return looks, np.array(rows)
 
 
 def _look(material: Material, document: Mapping[str, Any], images: Textures) -> Look:

@@ -95,7 +95,7 @@ class Buffers:
             raise AssetError(
                 f"{count:,} elements reach beyond the {len(data):,} bytes of bufferViews[{view}]",
                 place=place,
-                advice="the file is cut off or damaged",
+                advice="the file is cut off or damaged: copy or export it again",
             )
         if not type_name.startswith("MAT"):
             return np.ndarray((count, WIDTHS[type_name]), kind, data.data, offset, (stride, kind.itemsize))
@@ -123,7 +123,7 @@ class Buffers:
             raise AssetError(
                 f"bytes {offset:,} to {offset + length:,} reach beyond buffers[{buffer}] with {len(data):,}",
                 place=place,
-                advice="the file is cut off or damaged",
+                advice="the file is cut off or damaged: copy or export it again",
             )
         return data[offset : offset + length]
 
@@ -139,7 +139,7 @@ class Buffers:
                 raise AssetError(
                     f"it has {len(data):,} bytes instead of {said['byteLength']:,}",
                     place=place,
-                    advice="the file is cut off",
+                    advice="the file is cut off: copy or export it again",
                 )
             array = np.frombuffer(data, np.uint8)[: said["byteLength"]]
             self._buffers[row] = array

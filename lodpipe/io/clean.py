@@ -33,7 +33,8 @@ def drop_non_finite(faces: Indices, positions: NDArray[Any], place: str, warn: W
     bad_rows = int(len(finite) - finite.sum())
     if not good.all():
         dropped = count_faces(len(faces) - int(good.sum()))
-        warn(f"{place}: {bad_rows:,} positions are not finite; {dropped} that use them left out")
+        are = "1 position is not finite" if bad_rows == 1 else f"{bad_rows:,} positions are not finite"
+        warn(f"{place}: {are}; {dropped} left out")
     kept: Indices = faces[good]
     return kept
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import struct
 from typing import Any
 
@@ -27,6 +28,8 @@ TRIANGLES, STRIP, FAN = 4, 5, 6
 FLOAT = 5126
 #: Vertex attributes that KHR_mesh_quantization allows as integers.
 _QUANTISABLE = ("POSITION", "NORMAL", "TANGENT", "TEXCOORD_")
+#: Components of the attributes that have a meaning, those of morph targets too.
+_WIDTHS = {"POSITION": (3,), "NORMAL": (3,), "TANGENT": (4,), "TEXCOORD": (2,), "COLOR": (3, 4)}
 INSTANCING = "EXT_mesh_gpu_instancing"
 _LARGEST = 1e60  # times positions of up to 1e38, squared: still a float64
 _GLB_MAGIC, _JSON, _BIN = b"glTF", 0x4E4F534A, 0x004E4942
@@ -75,6 +78,13 @@ def _check_placements(asset: Asset) -> None:
                 raise AssetError(f"it is placed beyond {_LARGEST:g} units", place=f"meshes[{index}]", advice=advice)
 
 
+def _fits(name: str, width: int) -> bool:
+    """Whether an attribute may have `width` components. A morph target's tangents have three."""
+    morph = re.match(r"MORPH_\d+_", name)
+    kind = name[morph.end() if morph else 0 :].partition("_")[0]
+    return width in ((3,) if morph and kind == "TANGENT" else _WIDTHS.get(kind, (width,)))
+
+
 def _chunks(data: bytes, warn: Warn) -> tuple[bytes, memoryview | None]:
     """The JSON and the binary chunk of a GLB."""
     if len(data) < 20:
@@ -90,12 +100,13 @@ def _chunks(data: bytes, warn: Warn) -> tuple[bytes, memoryview | None]:
         size, kind = struct.unpack_from("<II", data, at)
         if at + 8 + size > len(data):
             raise AssetError(
-                f"a chunk of {size:,} bytes begins at byte {at:,} of {len(data):,}", advice="the file is cut off"
+                f"a chunk of {size:,} bytes begins at byte {at:,} of {len(data):,}",
+                advice="the file is cut off: copy or export it again",
             )
         chunks.setdefault(kind, memoryview(data)[at + 8 : at + 8 + size])
         at += 8 + size + (-size % 4)
     if _JSON not in chunks:
-        raise AssetError("it has no JSON chunk", advice="the file is damaged")
+        raise AssetError("it has no JSON chunk", advice="the file is damaged: copy or export it again")
     return bytes(chunks[_JSON]), chunks.get(_BIN)
 
 
@@ -136,7 +147,7 @@ class _Reader:
             raise AssetError(
                 f"{said['count']:,} elements in the {held:,} bytes of bufferViews[{view}]",
                 place=f"accessors[{row}]",
-                advice="the file is damaged",
+                advice="the file is damaged: copy or export it again",
             )
         return int(said["count"])
 
@@ -178,6 +189,9 @@ class _Reader:
         points = raw.pop("POSITION")
         if points.shape[1] != 3:
             raise AssetError("POSITION is not VEC3")
+        for name in [n for n, values in raw.items() if not _fits(n, values.shape[1])]:
+            self.warn(f"{place}: {name} has {raw[name].shape[1]} components, which glTF does not know; left out")
+            del raw[name]
         for name in [n for n, values in raw.items() if len(values) < len(points)]:
             self.warn(f"{place}: {name} has {len(raw[name]):,} rows for {len(points):,} positions; left out")
             del raw[name]

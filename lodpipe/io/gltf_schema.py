@@ -113,15 +113,19 @@ def parse_json(text: bytes, limits: Limits) -> Json:
     """The JSON object in `text`. Raises AssetError for what is none, LimitError for one that is too large or deep."""
     if len(text) > limits.json_bytes:
         raise LimitError(f"its JSON has {len(text):,} bytes, more than the limit of {limits.json_bytes:,}")
-    too_deep = AssetError(f"its JSON is nested more than {limits.json_depth} deep", advice="the file is damaged")
+    too_deep = AssetError(
+        f"its JSON is nested more than {limits.json_depth} deep", advice="the file is damaged: copy or export it again"
+    )
     try:
         tree = json.loads(text.decode("utf-8-sig"), parse_constant=_refuse)
     except UnicodeDecodeError as error:
-        raise AssetError("its JSON is not UTF-8 text", advice="the file is damaged") from error
+        raise AssetError("its JSON is not UTF-8 text", advice="the file is damaged: copy or export it again") from error
     except RecursionError as error:
         raise too_deep from error
     except ValueError as error:
-        raise AssetError(f"its JSON is not valid ({error})", advice="the file is damaged") from error
+        raise AssetError(
+            f"its JSON is not valid ({error})", advice="the file is damaged: copy or export it again"
+        ) from error
     if not isinstance(tree, dict):
         raise AssetError("its JSON is not an object", advice="check that the file is a glTF")
     level: list[Any] = [tree]
@@ -186,9 +190,13 @@ def _check(value: Any, shape: Any, place: str, tree: Json) -> None:
     elif isinstance(shape, str):
         count = len(tree.get(shape[2:], ()))
         if not _is_index(value) or value >= count:
-            raise AssetError(f"must be a row of '{shape[2:]}', which has {count} (got {str(value)[:40]})", place=place)
+            raise AssetError(f"must be a row of '{shape[2:]}', which has {count} (got {_shown(value)})", place=place)
     elif not (_is_index(value) if shape is int else _is_number(value) if shape is float else isinstance(value, shape)):
-        raise AssetError(f"must be {_NAMES[shape]} (got {str(value)[:40]})", place=place)
+        raise AssetError(f"must be {_NAMES[shape]} (got {_shown(value)})", place=place)
+
+
+def _shown(value: Any) -> str:
+    return json.dumps(value)[:40]
 
 
 def _check_nodes(tree: Json) -> None:
@@ -206,7 +214,9 @@ def _check_nodes(tree: Json) -> None:
         level = [child for i in level for child in nodes[i].get("children", ())]
         seen += len(level)
     if seen < len(nodes):
-        raise AssetError("the node tree has a cycle", place="nodes", advice="the file is damaged")
+        raise AssetError(
+            "the node tree has a cycle", place="nodes", advice="the file is damaged: copy or export it again"
+        )
 
 
 def node_depth(tree: Json) -> int:

@@ -31,7 +31,9 @@ def decode(data: bytes, mode: str, method: str, count: int, stride: int) -> NDAr
         values = _triangles(data, count) if mode == "TRIANGLES" else _indices(data, count)
         return np.array(values, np.uint64).astype(f"<u{stride}").view(np.uint8)
     except IndexError as error:
-        raise AssetError("the compressed data ends too early", advice="the file is damaged") from error
+        raise AssetError(
+            "the compressed data ends too early", advice="the file is damaged: copy or export it again"
+        ) from error
 
 
 def _attributes(data: bytes, count: int, stride: int) -> NDArray[np.uint8]:
@@ -42,7 +44,7 @@ def _attributes(data: bytes, count: int, stride: int) -> NDArray[np.uint8]:
     tail = stride + (stride // 4 if version else 0)
     end = len(data) - max(tail, 24 if version else 32)
     if end < 1:
-        raise AssetError("the compressed data ends too early", advice="the file is damaged")
+        raise AssetError("the compressed data ends too early", advice="the file is damaged: copy or export it again")
     base = np.frombuffer(data, np.uint8, stride, len(data) - tail)
     channels = data[len(data) - stride // 4 :] if version else bytes(stride // 4)
     deltas = _deltas(data, end, count, stride, version)
@@ -112,9 +114,13 @@ def _deltas(data: bytes, end: int, count: int, stride: int, version: int) -> NDA
                 if bits < 8:
                     at += sums[bits][at] - sums[bits][at - 2 * bits]
         if at > end:
-            raise AssetError("the compressed data ends too early", advice="the file is damaged")
+            raise AssetError(
+                "the compressed data ends too early", advice="the file is damaged: copy or export it again"
+            )
     if at != end:
-        raise AssetError("the compressed data is longer than its elements", advice="the file is damaged")
+        raise AssetError(
+            "the compressed data is longer than its elements", advice="the file is damaged: copy or export it again"
+        )
     result = np.zeros((stride * groups, _GROUP), np.uint8)
     for bits, (places, offsets) in starts.items():
         if places:
@@ -200,7 +206,10 @@ def _triangles(data: bytes, count: int) -> list[int]:
         if len(edges) > 4096:
             del edges[:-16], vertices[:-16]
     if at != stop:
-        raise AssetError("the compressed triangles do not end where they should", advice="the file is damaged")
+        raise AssetError(
+            "the compressed triangles do not end where they should",
+            advice="the file is damaged: copy or export it again",
+        )
     return result
 
 
@@ -217,7 +226,9 @@ def _indices(data: bytes, count: int) -> list[int]:
         last[which] = (last[which] + ((value >> 2) ^ -(value >> 1 & 1))) & 0xFFFFFFFF
         result.append(last[which])
     if at != len(data) - 4:
-        raise AssetError("the compressed indices do not end where they should", advice="the file is damaged")
+        raise AssetError(
+            "the compressed indices do not end where they should", advice="the file is damaged: copy or export it again"
+        )
     return result
 
 
@@ -230,7 +241,9 @@ def _leb128(data: bytes, at: int) -> tuple[int, int]:
         value |= (byte & 127) << shift
         if byte < 128:
             return value & 0xFFFFFFFF, at
-    raise AssetError("a number of the compressed data is longer than 5 bytes", advice="the file is damaged")
+    raise AssetError(
+        "a number of the compressed data is longer than 5 bytes", advice="the file is damaged: copy or export it again"
+    )
 
 
 def _filtered(elements: NDArray[np.uint8], method: str) -> NDArray[np.uint8]:

@@ -45,6 +45,8 @@ class Library:
     samplers: list[dict[str, Any]] = field(default_factory=list)
     materials: list[dict[str, Any]] = field(default_factory=list)
     _image_rows: dict[str, int] = field(default_factory=dict)
+    _rows: dict[str, int] = field(default_factory=dict)
+    _known: int = 0
 
     def read(self, name: str) -> None:
         """Read a material library beside the asset; one that cannot be read is a warning."""
@@ -59,9 +61,11 @@ class Library:
 
     def row(self, name: str) -> int:
         """The row of the material of that name; a name that no library has becomes a material without figures."""
-        for i, material in enumerate(self.materials):
-            if material["name"] == name:
-                return i
+        for i in range(self._known, len(self.materials)):
+            self._rows.setdefault(self.materials[i]["name"], i)  # of two of a name the first counts
+        self._known = len(self.materials)
+        if name in self._rows:
+            return self._rows[name]
         self.warn(f"material {shorten(name)} is in no material library; the default look is used")
         self.materials.append({"name": name})
         return len(self.materials) - 1

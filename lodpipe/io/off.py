@@ -43,7 +43,7 @@ def read_off(folder: Folder, warn: Warn) -> Asset:
     if vertices < 0 or polygons < 0 or vertices + polygons > len(filled) - 1:
         raise AssetError(
             f"its header says {vertices:,} vertices and {polygons:,} faces, but {len(filled) - 1:,} lines follow",
-            advice="the file is cut off or damaged",
+            advice="the file is cut off or damaged: copy or export it again",
         )
     folder.limits.check_triangles(polygons)
     positions, attributes = _vertices(lines, filled[1 : 1 + vertices], kind)
@@ -90,7 +90,10 @@ def _faces(lines: Lines, chosen: NDArray[np.intp], warn: Warn) -> tuple[NDArray[
     begin = np.cumsum(width) - width
     counts = whole[begin]
     if (counts < 0).any() or (counts > width - 1).any():
-        raise AssetError("a face line has fewer corners than it says", advice="the file is cut off or damaged")
+        raise AssetError(
+            "a face line has fewer corners than it says",
+            advice="the file is cut off or damaged: copy or export it again",
+        )
     if (width - 1 > counts).any():
         warn("colours of faces left out")
     order = np.repeat(begin + 1, counts) + np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)

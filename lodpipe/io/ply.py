@@ -151,7 +151,7 @@ def _check_room(element: _Element, need: int, there: int) -> None:
     if need > there:
         raise AssetError(
             f"its header says {element.count:,} rows of '{element.name}', but the data ends before that",
-            advice="the file is cut off or damaged",
+            advice="the file is cut off or damaged: copy or export it again",
         )
 
 

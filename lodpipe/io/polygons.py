@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lodpipe.core.mesh import F64
 from lodpipe.io.clean import Warn, count_faces
 
-#: Ear clipping takes time in the square of the corners; a concave polygon beyond this becomes a fan.
+#: Ear clipping takes time in the square of the corners; a concave polygon beyond this is cut as if it were convex.
 MAX_EARS = 2000
 
 
@@ -42,8 +42,9 @@ def triangulate(counts: NDArray[Any], points: F64, place: str, warn: Warn) -> tu
     counts  (P,) corners of each polygon, ≥ 3
     points  (sum of counts, 3) the position of each corner, polygon after polygon
 
-    Convex polygons become fans, a concave quadrilateral is cut at its reflex corner, other concave ones have their
-    ears clipped.
+    Convex polygons become fans; from seven corners on every other corner is cut off, again and again, so that none has
+    very many triangles. A concave quadrilateral is cut at its reflex corner, other concave ones have their ears
+    clipped.
     """
     begin = np.cumsum(counts) - counts
     if (counts == 3).all():
@@ -67,8 +68,7 @@ def triangulate(counts: NDArray[Any], points: F64, place: str, warn: Warn) -> tu
 def _cut(corner: NDArray[Any], points: F64, place: str, warn: Warn) -> NDArray[Any]:
     """Triangles (P, N − 2, 3) of P polygons of N corners each, `corner` (P, N)."""
     size = corner.shape[1]
-    fan = np.stack([np.zeros(size - 2, int), np.arange(1, size - 1), np.arange(2, size)], axis=1)
-    result = corner[:, fan]
+    result = corner[:, _convex(size)]
     shape = points[corner] - points[corner[:, :1]]
     extent = np.abs(shape).max(axis=(1, 2), initial=0.0)
     shape /= np.where(extent > 0, extent, 1.0)[:, None, None]
@@ -86,6 +86,20 @@ def _cut(corner: NDArray[Any], points: F64, place: str, warn: Warn) -> NDArray[A
             continue
         result[polygon] = corner[polygon][_ears(_flatten(shape[polygon], normal[polygon]))]
     return result
+
+
+def _convex(size: int) -> NDArray[Any]:
+    """Triangles (N − 2, 3) of a convex polygon of N corners."""
+    ring = np.arange(size)
+    rows = []
+    while len(ring) > 6:
+        cut = ring[1:-1:2] if len(ring) % 2 else ring[1::2]
+        before = ring[: 2 * len(cut) : 2]
+        rows.append(np.stack([before, cut, np.roll(ring, -2)[: 2 * len(cut) : 2]], axis=1))
+        ring = np.setdiff1d(ring, cut)
+    last = len(ring)
+    rows.append(ring[np.stack([np.zeros(last - 2, int), np.arange(1, last - 1), np.arange(2, last)], axis=1)])
+    return np.concatenate(rows)
 
 
 def _flatten(shape: F64, normal: F64) -> F64:

@@ -48,7 +48,8 @@ def _binary(data: bytes, limits: Limits, warn: Warn) -> NDArray[np.float32]:
     held = (len(data) - _HEADER) // _FACET.itemsize
     if count > held:
         raise AssetError(
-            f"its header says {count:,} facets, but there is data for {held:,}", advice="the file is cut off or damaged"
+            f"its header says {count:,} facets, but there is data for {held:,}",
+            advice="the file is cut off or damaged: copy or export it again",
         )
     limits.check_triangles(count)
     if len(data) > _HEADER + count * _FACET.itemsize:
@@ -64,7 +65,10 @@ def _text(data: bytes, limits: Limits, warn: Warn) -> F64:
     chosen = lines.starting(b"vertex")
     table, count = lines.table(chosen, b"vertex", 3)
     if len(chosen) % 3 or (count != 3).any():
-        raise AssetError("its vertex lines are not threes of three numbers", advice="the file is cut off or damaged")
+        raise AssetError(
+            "its vertex lines are not threes of three numbers",
+            advice="the file is cut off or damaged: copy or export it again",
+        )
     if b"endsolid" not in text[-1000:]:
         warn("the last line, endsolid, is missing: the file may be cut off")
     return table

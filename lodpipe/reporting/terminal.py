@@ -12,6 +12,8 @@ from lodpipe.reporting.table import Style, clean, number, size, table
 
 REDRAW_SECONDS = 0.1
 _COLOURS = {"ok": "green", "unchanged": "green", "warnings": "yellow", "over_budget": "red"}
+MOST_WARNINGS = 12
+"""Warnings of one asset that are shown."""
 _WORDS = {
     "ok": "ok",
     "unchanged": "unchanged",
@@ -133,7 +135,10 @@ def summary(result: Result, style: Style) -> list[str]:
     lines += _levels(report)
     failed = [entry for entry in report.get("budgets", ()) if not entry["ok"]]
     lines += [style(f"  over budget: {_budget(entry)}", "red") for entry in failed]
-    lines += [style("  warning: ", "yellow") + clean(text) for text in warnings_of(report)]
+    warnings = warnings_of(report)
+    lines += [style("  warning: ", "yellow") + clean(text) for text in warnings[:MOST_WARNINGS]]
+    if len(warnings) > MOST_WARNINGS:
+        lines.append(f"  and {len(warnings) - MOST_WARNINGS:,} more warnings, in {clean(result.folder)}/report.json")
     if report.get("images"):
         lines.append(clean(f"  look at {result.folder}/report.html"))
     return lines

@@ -203,7 +203,7 @@ def test_repairs_are_named_with_their_counts(tmp_path: Path) -> None:
     assert asset.warnings == (
         "meshes[0].primitives[0]: 20 indices are not threes; the last 2 left out",
         "meshes[0]: 1 face with an index out of range left out",
-        "meshes[0]: 1 positions are not finite; 1 face that use them left out",
+        "meshes[0]: 1 position is not finite; 1 face left out",
         "meshes[0]: 1 of 4 TEXCOORD_0 values are not finite; set to 0",
         "meshes[0]: 1 of 4 NORMAL values are not finite; set to 0",
         "meshes[0]: 1 face that are exact doubles of others left out",
@@ -342,3 +342,15 @@ def _rich() -> bytes:
 
 
 _RICH = _rich()
+
+
+def test_attributes_of_a_form_that_gltf_does_not_know_are_left_out(tmp_path: Path) -> None:
+    g = files.Gltf()
+    wide, narrow = g.array(files.SQUARE), g.array(np.asarray(files.SQUARE, np.float32)[:, :2].copy())
+    odd = {"TEXCOORD_0": wide, "TANGENT": wide, "COLOR_0": narrow, "NORMAL": narrow}
+    attributes = {"POSITION": wide, **odd, "_OWN": narrow}
+    targets = [{"POSITION": wide, "TANGENT": wide, "NORMAL": narrow}]
+    asset = one(tmp_path, {"attributes": attributes, "targets": targets}, g)
+    assert set(asset.meshes[0].attributes) == {"_OWN", "MORPH_0_POSITION", "MORPH_0_TANGENT"}
+    said = [text for text in asset.warnings if "which glTF does not know" in text]
+    assert len(said) == 5 and "TEXCOORD_0 has 3 components" in said[0]

@@ -77,3 +77,12 @@ def test_unusable_polygons_are_counted() -> None:
         "m: 1 face with fewer than three corners left out",
         "m: 2 faces with an index out of range left out",
     ]
+
+
+@pytest.mark.parametrize("corners", [7, 8, 9, 12, 101, 5000])
+def test_corners_of_large_convex_polygons_have_few_triangles(corners: int) -> None:
+    shape = star(corners, 1.0)
+    faces, _, said = cut(shape)
+    assert (areas(shape, faces) > 0).all() and not said
+    assert math.isclose(areas(shape, faces).sum(), corners / 2 * math.sin(2 * math.pi / corners), rel_tol=1e-9)
+    assert np.bincount(faces.ravel()).max() <= 2 * math.log2(corners)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gzip
 import os
 import subprocess
 import sys
@@ -295,3 +296,34 @@ def small_files() -> dict[str, bytes]:
 def test_the_same_file_gives_the_same_asset(assets: Path) -> None:
     path = assets / "dev" / "sheen_chair_scene" / "MixedLightingExample.gltf"
     assert io.load(path).fingerprint() == io.load(path).fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("data", "cause"),
+    [
+        (gzip.compress(b"glTF"), "compressed with gzip; unpack it"),
+        (b"PK\3\4" + bytes(40), "a ZIP archive"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:a\n", "a Git LFS pointer"),
+        (b"<!DOCTYPE html><html>404</html>", "a web page; download"),
+        (b"Kaydara FBX Binary  \0", "an FBX file; convert"),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".glb", ".obj"])
+def test_what_else_a_file_may_be_is_said(tmp_path: Path, data: bytes, cause: str, suffix: str) -> None:
+    (tmp_path / f"m{suffix}").write_bytes(data)
+    with pytest.raises(AssetError, match=cause):
+        io.load(tmp_path / f"m{suffix}")
+
+
+def test_coordinates_beyond_all_reason(tmp_path: Path) -> None:
+    path = tmp_path / "m.obj"
+    path.write_text("v 1e308 0 0\nv -1e308 0 0\nv 0 1e308 0\nf 1 2 3\n")
+    with pytest.raises(AssetError, match=r"m.obj: it has coordinates of 1e\+308; scale it down"):
+        io.load(path)
+
+
+def test_every_error_says_what_to_do(tmp_path: Path) -> None:
+    path = tmp_path / "m.gltf"
+    path.write_text('{"asset": {"version": "2.0"}, "nodes": "x"}')
+    with pytest.raises(AssetError, match=r"nodes: must be an array, not a text; check it in a 3-D program, or export"):
+        io.load(path)
