@@ -94,6 +94,7 @@ def _chunks(data: bytes, warn: Warn) -> tuple[bytes, memoryview | None]:
         raise AssetError(f"GLB version {version} is not supported", advice="convert it to glTF 2.0")
     if length != len(data):
         warn(f"its header says {length:,} bytes, the file has {len(data):,}")
+    data = data[:length] if length >= 20 else data
     chunks: dict[int, memoryview] = {}
     at = 12
     while at + 8 <= len(data):

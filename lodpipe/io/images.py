@@ -90,7 +90,9 @@ def find_image(folder: Folder, name: str, *, uri: bool = False) -> Image:
         data = folder.read_uri(name) if uri else folder.read(name)
         return read_image(data, folder.limits, uri=base)
     except AssetError as error:
-        return Image(uri=base, problem=f"image {shorten(base)}: {error.cause}")
+        own = f"{shorten(base)} "
+        cause = error.cause if error.cause.startswith(own) else f"{shorten(base)}: {error.cause}"
+        return Image(uri=base, problem=f"image {cause}")
     except LimitError as error:
         raise error.at(base) from error
 

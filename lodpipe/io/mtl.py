@@ -227,6 +227,8 @@ def map_statement(text: str) -> tuple[str, dict[str, list[str]]]:
             values.append(word)
             rest = after.lstrip()
         options[option] = values
+    if len(rest) > 2 and rest[0] == rest[-1] == '"':
+        rest = rest[1:-1]
     return rest, options
 
 

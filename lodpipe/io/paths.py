@@ -46,7 +46,8 @@ class Folder:
     def find(self, name: str) -> Path:
         """The path of the file that the asset calls `name`, which is inside the folder and not a link that leaves it.
 
-        Backslashes separate folders (files written on Windows). Raises AssetError.
+        Backslashes separate folders, and where there is no such file the case of letters does not count, if that leaves
+        one (files written on Windows). Raises AssetError.
         """
         shown = shorten(name)
         parts = name.replace("\\", "/")
@@ -59,6 +60,9 @@ class Folder:
             target = (root / parts).resolve()
             inside = target.is_relative_to(root)
             exists = inside and target.is_file()
+            if inside and not exists:
+                target = (_in_other_case(root, parts) or target).resolve()
+                exists = target.is_relative_to(root) and target.is_file()
         except (OSError, RuntimeError) as error:  # a name too long; a loop of links
             why = getattr(error, "strerror", None) or "a loop of links"
             raise AssetError(f"{shown} cannot be opened ({why})") from error
@@ -88,6 +92,23 @@ class Folder:
         if path not in self.members:
             self.members.append(path)
         return data
+
+
+def _in_other_case(root: Path, name: str) -> Path | None:
+    """The one path below `root` that is `name` but for the case of its letters."""
+    path = root
+    for part in name.split("/"):
+        if part == "..":
+            return None
+        if part in ("", "."):
+            continue
+        if not path.is_dir():
+            return None
+        same = [entry.name for entry in path.iterdir() if entry.name.casefold() == part.casefold()]
+        if part not in same and len(same) != 1:
+            return None
+        path /= part if part in same else same[0]
+    return path
 
 
 def stem(path: Path) -> str:

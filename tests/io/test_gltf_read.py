@@ -354,3 +354,12 @@ def test_attributes_of_a_form_that_gltf_does_not_know_are_left_out(tmp_path: Pat
     assert set(asset.meshes[0].attributes) == {"_OWN", "MORPH_0_POSITION", "MORPH_0_TANGENT"}
     said = [text for text in asset.warnings if "which glTF does not know" in text]
     assert len(said) == 5 and "TEXCOORD_0 has 3 components" in said[0]
+
+
+def test_what_follows_the_length_in_the_header_is_no_chunk(tmp_path: Path) -> None:
+    g = files.Gltf()
+    g.mesh(g.square())
+    path = g.save(tmp_path / "m.glb")
+    path.write_bytes(path.read_bytes() + b"garbage!" * 10)
+    asset = io.load(path)
+    assert asset.triangles == 2 and "the file has" in asset.warnings[0]

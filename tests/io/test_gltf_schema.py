@@ -39,7 +39,7 @@ def test_a_valid_file_passes() -> None:
         ("meshes.0.primitives.0.mode", "4", "must be a whole number, 0 or more"),
         ("materials.0.pbrMetallicRoughness.baseColorTexture.index", 9, "must be a row of 'textures', which has 3"),
         ("materials.0.emissiveFactor", [1, 2], "must be an array of 3 numbers"),
-        ("materials.0.pbrMetallicRoughness.roughnessFactor", "1", "roughnessFactor: must be a number (got \"1\")"),
+        ("materials.0.pbrMetallicRoughness.roughnessFactor", "1", 'roughnessFactor: must be a number (got "1")'),
         ("nodes.0.translation", [1, 2, "x"], "nodes[0].translation: must be an array of 3 numbers"),
         ("nodes.0.extensions", [], "nodes[0].extensions: must be an object of objects"),
         ("nodes.0.name", 7, "nodes[0].name: must be a text"),

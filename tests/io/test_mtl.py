@@ -50,7 +50,7 @@ def test_a_map_is_found_under_the_names_that_exporters_write(tmp_path: Path, nam
 def test_a_missing_map_is_a_warning(tmp_path: Path) -> None:
     asset = read(tmp_path, "map_Kd gone.png")
     assert asset.images[0].problem and not asset.images[0].data
-    assert asset.warnings == ("image 'gone.png': 'gone.png' is missing; the material is shown without it",)
+    assert asset.warnings == ("image 'gone.png' is missing; the material is shown without it",)
     (path,) = io.save(asset, tmp_path / "o.glb")
     assert io.load(path).materials[0].base_color_texture is None
 

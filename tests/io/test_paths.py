@@ -81,3 +81,16 @@ def test_limits_and_missing_files(folder: Folder) -> None:
         Folder(folder.path.with_name("none.obj"), Limits()).read_asset()
     with pytest.raises(AssetError, match="not a regular file"):
         Folder(folder.path.parent, Limits()).read_asset()
+
+
+def test_the_case_of_letters_does_not_count_where_one_file_is_meant(folder: Folder) -> None:
+    root = folder.path.parent
+    assert folder.read("SUB dir\\T.PNG") == b"abc"
+    assert folder.members == [root / "sub dir" / "t.png"] and folder.missing == []
+    (root / "sub dir" / "T.png").write_bytes(b"other")
+    with pytest.raises(AssetError, match="is missing"):
+        folder.read("sub dir/T.PNG")
+    assert folder.find("sub dir/T.png").read_bytes() == b"other"
+    (root / "Linked").symlink_to(root.parent)
+    with pytest.raises(AssetError, match="is missing"):
+        folder.read("linked/SECRET")
