@@ -87,16 +87,19 @@ def decimate_asset(
     joined = Joined.of(asset)
     if visual:
         joined = joined.seen(vertex_visibility(asset, threads))
+        if cancelled():
+            raise Cancelled("cancelled")
     fixed = source.triangles - len(joined.faces)
     counts = [_count(goal, source.triangles) for goal in targets]
     wanted = sorted({max(c - fixed, 0) for c in counts if c is not None}, reverse=True)
     by_error = any(c is None for c in counts)
     fits = visual and getattr(options, "placement", "") != "endpoint"  # half-edge collapses invent no values
-    finest = [c for c in counts if c]
+    # what prices are for: the coarsest level; of levels that are found by measuring, a guess
+    coarsest = min((c for c in counts if c), default=max(source.triangles // 10, 1))
     goals = [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted
     seam_scale = None
     if metric == "visual" and isinstance(options, QuadricOptions):
-        content = Content.of(asset, pixels or {}, min(finest, default=1), threads)
+        content = Content.of(asset, pixels or {}, coarsest, threads)
         seam_scale = joined.from_soup(asset, content.soup, content.seams / max(options.seam_weight, 1e-6))
         if not options.attribute_cost:
             options = replace(options, attribute_cost=True)
@@ -111,7 +114,7 @@ def decimate_asset(
         options = replace(options, record=options.record or by_error, keep_last=fixed == 0)
         result = decimate_joined(asset, joined, goals, options, pixels or {}, threads, step)
     else:
-        values, column_weights = joined.columns(options, weights or AttributeWeights(), min(finest, default=1))
+        values, column_weights = joined.columns(options, weights or AttributeWeights(), coarsest)
         own = replace(
             options,
             record=options.record or by_error,
@@ -142,20 +145,25 @@ def decimate_asset(
             result = replace(result, levels=joined.with_shares(asset.importance.shares, result.levels, run))
     if any(level.stop == "cancelled" for level in result.levels) or cancelled():
         raise Cancelled("cancelled")
-    made = {level.target: level for level in result.levels}
-    if fits:
-        made = {target: joined.fit(level, threads, cancelled) for target, level in made.items()}
-        if cancelled():
+
+    def refine(level: kernel.Level) -> kernel.Level:
+        fitted = joined.fit(level, threads, cancelled) if fits else level
+        if fits and cancelled():  # what there is of it by then
             raise Cancelled("cancelled")
+        return fitted
+
+    made = {level.target: refine(level) for level in result.levels}
     if asset.importance is not None and len(asset.importance.reserved):
         made |= joined.recognisable(asset.importance, list(made.values()), options, threads)
     lods = [source]
     seen: dict[Target, Lod] = {}
     if looks := [goal for goal in targets if goal.pixels is not None]:
-        seen = joined.search_pixels(asset, looks, result, unseen or _untextured_sight(asset, threads), cancelled)
+        seen = joined.search_pixels(
+            asset, looks, result, unseen or _untextured_sight(asset, threads), refine, cancelled
+        )
     for goal, count in zip(targets, counts, strict=True):
         if count is None:
-            lods.append(seen[goal] if goal in seen else joined.search_error(asset, goal, result))
+            lods.append(seen[goal] if goal in seen else joined.search_error(asset, goal, result, refine, cancelled))
             continue
         level = made[max(count - fixed, 0)]
         reached = len(level.faces) + fixed <= count

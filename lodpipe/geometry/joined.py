@@ -35,6 +35,9 @@ ERROR_SAMPLES = 20_000  # of a measurement while a level is searched for its err
 Unseen = Callable[[Asset, float], float]
 """The height in pixels up to which an asset can stand in for the source unseen, looked for up to a height."""
 
+Refine = Callable[[kernel.Level], kernel.Level]
+"""What is done to a level after the collapses."""
+
 
 @dataclass(frozen=True)
 class AttributeWeights:
@@ -208,7 +211,7 @@ class Joined:
             self.wedges,
             self.values,
             level,
-            samples=max(min(24 * count, 240_000), 8 * count, 2000),
+            samples=max(24 * count, 2000),
             chart_column=self.chart_column,
             importance=self.importance,
             threads=threads,
@@ -355,15 +358,24 @@ class Joined:
         wedge_old = np.where(old[vertex_of] < 0, -1, level.wedge_source[rows] - first).astype(np.int32)
         return carry(source, positions, old.astype(np.int32), vertex_to, vertex_of, wedge_old, wedge_to)
 
-    def search_error(self, asset: Asset, goal: Target, result: kernel.Decimation) -> Lod:
+    def search_error(
+        self,
+        asset: Asset,
+        goal: Target,
+        result: kernel.Decimation,
+        refine: Refine,
+        cancelled: Callable[[], bool],
+    ) -> Lod:
         """The coarsest level whose measured distance to the source is within the goal, by bisection of the record."""
         assert goal.error is not None
         reference = flatten(asset)
         high, low = len(self.faces), 0
         best: Lod | None = None
         while high - low > max(1, high // 100):
+            if cancelled():
+                raise Cancelled("cancelled")
             middle = (high + low) // 2
-            lod = self.rebuilt(asset, goal, result, middle, "error")
+            lod = self.rebuilt(asset, goal, result, middle, "error", refine)
             soup = flatten(asset, lod.meshes)
             within = len(soup.faces) > 0 and distance_between(reference, soup, ERROR_SAMPLES).max <= goal.error
             if within:
@@ -378,6 +390,7 @@ class Joined:
         goals: Sequence[Target],
         result: kernel.Decimation,
         unseen: Unseen,
+        refine: Refine,
         cancelled: Callable[[], bool],
     ) -> dict[Target, Lod]:
         """For each goal the coarsest level of the record that shows no more pixels of difference than it allows."""
@@ -390,20 +403,22 @@ class Joined:
             def found(number: int, height: float = height, goal: Target = goal) -> float:
                 if cancelled():
                     raise Cancelled("cancelled")
-                return unseen(asset.at(self.rebuilt(asset, goal, result, number, "pixels")), height)
+                return unseen(asset.at(self.rebuilt(asset, goal, result, number, "pixels", refine)), height)
 
             number = coarsest(found, height, known)
             if number == len(self.faces):
                 made[goal] = Lod(meshes=asset.meshes, target=goal, stop_reason="pixels")
             else:
-                made[goal] = self.rebuilt(asset, goal, result, number, "pixels")
+                made[goal] = self.rebuilt(asset, goal, result, number, "pixels", refine)
         return made
 
-    def rebuilt(self, asset: Asset, goal: Target, result: kernel.Decimation, triangles: int, reason: str) -> Lod:
-        """The level of at most so many triangles, from the record."""
+    def rebuilt(
+        self, asset: Asset, goal: Target, result: kernel.Decimation, triangles: int, reason: str, refine: Refine
+    ) -> Lod:
+        """The level of at most so many triangles, from the record, refined."""
         assert result.record is not None  # decimate_asset asked for it
         level = rebuild(self.positions, self.faces, self.wedges, self.values, result.record, triangles)
-        return self.lod(asset, level, goal, reason)
+        return self.lod(asset, refine(level), goal, reason)
 
 
 def _pinned(asset: Asset, used: list[int]) -> Bool | None:

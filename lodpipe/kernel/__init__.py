@@ -200,7 +200,8 @@ def fit(
     """A level of `decimate` (made with `follow`) whose vertices and values fit the input best, in the least squares.
 
     positions, faces, wedges, values   the input of `decimate`, as `decimate` takes it
-    samples       points spread over the input by area, from which the fit is made
+    samples       points spread over the input by area, about, from which the fit is made; if there are more than faces,
+                  every face has some
     moves         rounds in which positions move; 0: they stay
     fit_values    whether values are fitted, too; if not they stay
     chart_column  column of `values` that holds u, with v after it: at the border of a chart they stay near it

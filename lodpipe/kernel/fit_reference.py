@@ -19,20 +19,33 @@ TANGENTIAL = 0.05
 EXACT = 1e-4
 
 
-def samples(positions: F64, faces: I32, count: int) -> tuple[Any, F64, float]:
-    """Faces (count,), barycentric weights (count, 3) and the area that each sample stands for.
+def samples(positions: F64, faces: I32, count: int) -> tuple[Any, F64, F64]:
+    """Faces (N,), barycentric weights (N, 3) and the areas (N,) that the samples stand for.
 
-    Equal shares of the summed area, at places of the R2 sequence (Roberts 2018).
+    Fewer than faces: equal shares of the summed area, at places of the R2 sequence (Roberts 2018). More: in each face
+    its middle, the three points that integrate squares exactly, or twelve of the sequence, by its share of the area.
     """
     corners = positions[faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    total = np.cumsum(area)
-    i = np.arange(count)
-    face = np.searchsorted(total, (i + 0.5) * total[-1] / count, side="right").clip(max=len(faces) - 1)
+    total = np.concatenate([[0], np.cumsum(area)])
+    wanted = area * count / total[-1]
+    if count < len(faces):
+        points = np.diff(np.floor(total * count / total[-1] + 0.5)).astype(int)
+    else:
+        points = np.select([wanted <= 0, wanted < 4, wanted < 48], [0, 1, 3], 12)
+    face = np.repeat(np.arange(len(faces)), points)
+    i = np.arange(len(face))
     r, s = (0.5 + 0.7548776662466927 * i) % 1, (0.5 + 0.5698402909980532 * i) % 1
     over = r + s > 1
     r, s = np.where(over, 1 - r, r), np.where(over, 1 - s, s)
-    return face, np.column_stack([1 - r - s, r, s]), float(total[-1] / count)
+    weights = np.column_stack([1 - r - s, r, s])
+    if count < len(faces):
+        return face, weights, np.full(len(face), total[-1] / count)
+    number = i - np.repeat(np.cumsum(points) - points, points)
+    weights[points[face] == 1] = 1 / 3
+    three = points[face] == 3
+    weights[three] = np.eye(3)[number[three]] / 2 + 1 / 6
+    return face, weights, area[face] / points[face]
 
 
 def nearest(points: F64, normals: F64, positions: F64, faces: I32) -> tuple[Any, F64]:
@@ -79,8 +92,8 @@ def fit(positions: F64, faces: I32, wedges: I32, values: F32, level: Level, coun
             v = level.faces[hit[n]]
             metric = np.outer(normals[n], normals[n]) + TANGENTIAL * np.eye(3)
             rows = (3 * v[:, None] + np.arange(3)).ravel()
-            matrix[np.ix_(rows, rows)] += share * np.kron(np.outer(b[n], b[n]), metric)
-            right[rows] += share * np.kron(b[n], metric @ (points[n] - b[n] @ at[v]))
+            matrix[np.ix_(rows, rows)] += share[n] * np.kron(np.outer(b[n], b[n]), metric)
+            right[rows] += share[n] * np.kron(b[n], metric @ (points[n] - b[n] @ at[v]))
         for v, m in zip(level.faces, _masses(at, level.faces), strict=True):
             rows = (3 * v[:, None] + np.arange(3)).ravel()
             matrix[np.ix_(rows, rows)] += PRIOR * np.kron(m, np.eye(3))
@@ -89,9 +102,9 @@ def fit(positions: F64, faces: I32, wedges: I32, values: F32, level: Level, coun
     mass, pull = np.zeros((len(level.values),) * 2), np.zeros(level.values.shape)
     for n in np.flatnonzero(hit >= 0):
         w = level.wedges[hit[n]]
-        mass[np.ix_(w, w)] += share * np.outer(b[n], b[n])
+        mass[np.ix_(w, w)] += share[n] * np.outer(b[n], b[n])
         off = a[n] @ values[wedges[face[n]]].astype(float) - b[n] @ level.values[w].astype(float)
-        pull[w] += share * np.outer(b[n], off)
+        pull[w] += share[n] * np.outer(b[n], off)
     for w, m in zip(level.wedges, _masses(at, level.faces), strict=True):
         mass[np.ix_(w, w)] += PRIOR * m
     fitted = level.values + np.linalg.solve(mass, pull)
@@ -99,8 +112,8 @@ def fit(positions: F64, faces: I32, wedges: I32, values: F32, level: Level, coun
     for n in np.flatnonzero(hit >= 0):
         w, wanted = level.wedges[hit[n]], a[n] @ values[wedges[face[n]]].astype(float)
         for square, shown in zip(squares, (level.values, fitted), strict=True):
-            square[w] += share * (wanted - b[n] @ shown[w]) ** 2
-    pays = (squares[1] < squares[0]) & (squares[0] >= EXACT**2 * share)
+            square[w] += share[n] * (wanted - b[n] @ shown[w]) ** 2
+    pays = (squares[1] < squares[0]) & (squares[0] >= EXACT**2 * share.mean())
     fitted = np.where(pays, fitted, level.values)
     return replace(level, positions=at / scale + centre, values=fitted.astype(np.float32))
 

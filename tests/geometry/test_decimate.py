@@ -373,6 +373,31 @@ def test_visual_keeps_attributes_materials_and_targets():
     assert volume(rough.positions, rough.faces) == pytest.approx(volume(*bumpy(3)), rel=0.1)
 
 
+def test_visual_levels_found_by_error_are_fitted():
+    source = asset(Mesh(*bumpy(5, 0.05)))
+    goal = Target(error=1.0)
+    found = decimate_asset(source, [goal], metric="visual")[1]
+    plain = decimate_asset(source, [goal])[1]
+    assert found.triangles <= plain.triangles
+    assert distance_between(flatten(source), flatten(source, found.meshes), 20_000).max <= 1.0
+    same = decimate_asset(source, [goal], metric="visual", threads=2)[1]
+    assert same.meshes[0].positions.tobytes() == found.meshes[0].positions.tobytes()
+    unfitted = levels(source, found.triangles, setting=None)[1]
+    assert off(source, found) < 0.95 * off(source, unfitted)
+
+
+def test_visual_search_for_an_error_is_cancelled():
+    asked = []
+
+    def cancelled():
+        asked.append(1)
+        return len(asked) > 12
+
+    with pytest.raises(Cancelled):
+        decimate_asset(asset(Mesh(*bumpy(4))), [Target(error=1.0)], metric="visual", cancelled=cancelled)
+    assert len(asked) == 13
+
+
 def test_visual_half_edges_invent_nothing():
     source = asset(uv_sphere(16, 32).mesh())
     made = levels(source, 300, setting=options(placement="endpoint"), metric="visual")[1].meshes[0]

@@ -89,12 +89,12 @@ class Fit {
     start_ = at_;
   }
 
-  // Samples at equal shares of the area, each at a place of its own (the R2 sequence, Roberts 2018), on the nearest
-  // face of their chart. Those that find none are left out.
+  // Samples of the original, on the nearest face of their chart. Those that find none are left out.
   void carry() {
     const FitMesh& original = in_.original;
-    std::vector<double> sum(static_cast<size_t>(original.face_count) + 1, 0);
-    pool_.range(original.face_count, kGrain, [&](int begin, int end) {
+    const int faces = original.face_count;
+    std::vector<double> sum(static_cast<size_t>(faces) + 1, 0);
+    pool_.range(faces, kGrain, [&](int begin, int end) {
       for (int f = begin; f < end; ++f) {
         const int32_t* v = original.faces + 3 * static_cast<int64_t>(f);
         const float* w = in_.importance;
@@ -102,23 +102,31 @@ class Fit {
         sum[f + 1] = w ? area * (w[v[0]] + w[v[1]] + w[v[2]]) / 3 : area;
       }
     });
-    for (int f = 0; f < original.face_count; ++f) sum[f + 1] += sum[f];
-    const double all = sum.back();
-    const int count = all > 0 ? options_.samples : 0;
-    share_ = static_cast<float>(all / std::max(count, 1));
+    for (int f = 0; f < faces; ++f) sum[f + 1] += sum[f];
+    const double dense = sum.back() > 0 ? options_.samples / sum.back() : 0;
+    std::vector<int32_t> first(static_cast<size_t>(faces) + 1, 0);
+    const bool each = dense > 0 && options_.samples >= faces;
+    for (int f = 0; f < faces; ++f) {
+      const double begin = sum[f] * dense, end = sum[f + 1] * dense;
+      first[f + 1] = first[f] + (each ? rule(end - begin) : static_cast<int32_t>(std::floor(end + 0.5) - std::floor(begin + 0.5)));
+    }
+    const int count = first.back();
+    share_ = static_cast<float>(sum.back() / std::max(count, 1));
     target_.place(at_);
     Large<Sample> samples(count);
     Large<Hit> hits(count);
-    pool_.range(count, kGrain, [&](int begin, int end) {
-      const auto wanted = [&](int i) { return (i + 0.5) * all / count; };
-      auto f = static_cast<int32_t>(std::upper_bound(sum.begin() + 1, sum.end(), wanted(begin)) - sum.begin() - 1);
-      for (int i = begin; i < end; ++i) {
-        while (f + 1 < original.face_count && sum[f + 1] <= wanted(i)) ++f;
-        f = std::min(f, original.face_count - 1);
-        samples[i] = sample(f, i);
+    pool_.range(faces, kGrain, [&](int begin, int end) {
+      int32_t guess = kNoFace;
+      for (int f = begin; f < end; ++f) {
         int32_t to[3];
         for (int k = 0; k < 3; ++k) to[k] = in_.wedge_to[original.wedges[3 * static_cast<int64_t>(f) + k]];
-        hits[i] = target_.nearest(samples[i], to, i > begin ? hits[i - 1].face : kNoFace);
+        const int points = first[f + 1] - first[f];
+        const auto weight = each ? static_cast<float>((sum[f + 1] - sum[f]) / points) : static_cast<float>(1 / dense);
+        for (int i = first[f]; i < first[f + 1]; ++i) {
+          samples[i] = sample(f, each && points <= 3 ? spot(i - first[f], points) : scattered(i), weight);
+          hits[i] = target_.nearest(samples[i], to, guess);
+          guess = hits[i].face;
+        }
       }
     });
     sort(hits);
@@ -129,16 +137,31 @@ class Fit {
     });
   }
 
-  Sample sample(int32_t f, int i) const {
+  // Points of a face that the `wanted` ones of its share of the area are made with, if every face has some: its middle,
+  // the three that integrate squares exactly, or many.
+  static int32_t rule(double wanted) { return !(wanted > 0) ? 0 : wanted < 4 ? 1 : wanted < 48 ? 3 : 12; }
+
+  struct Spot {
+    float a1, a2;
+  };
+  static Spot spot(int number, int points) {
+    if (points == 1) return {1.0f / 3, 1.0f / 3};
+    return {number == 1 ? 2.0f / 3 : 1.0f / 6, number == 2 ? 2.0f / 3 : 1.0f / 6};
+  }
+  // The R2 sequence (Roberts 2018).
+  static Spot scattered(int i) {
     // fractions of 1 as whole numbers: 0.5 + i / ρ and 0.5 + i / ρ², ρ³ = ρ + 1
     const auto part = [i](uint64_t step) {
       return static_cast<float>(((uint64_t{1} << 63) + static_cast<uint64_t>(i) * step) >> 40) * 0x1p-24f;
     };
-    float r = part(0xC13FA9A902A6328Fu), s = part(0x91E10DA5C79E7B1Du);
-    if (r + s > 1) r = 1 - r, s = 1 - s;
+    const float r = part(0xC13FA9A902A6328Fu), s = part(0x91E10DA5C79E7B1Du);
+    return r + s > 1 ? Spot{1 - r, 1 - s} : Spot{r, s};
+  }
+
+  Sample sample(int32_t f, Spot spot, float weight) const {
     const int32_t* v = in_.original.faces + 3 * static_cast<int64_t>(f);
     const Vec3 a = source_[v[0]], ab = source_[v[1]] - a, ac = source_[v[2]] - a;
-    return {a + ab * r + ac * s, normalized(cross(ab, ac)), f, r, s};
+    return {a + ab * spot.a1 + ac * spot.a2, normalized(cross(ab, ac)), f, spot.a1, spot.a2, weight};
   }
 
   // The order of the samples by faces of the level: those of a face lie from starts_[f] to starts_[f + 1].
@@ -222,11 +245,11 @@ class Fit {
       const Vec3 off = sample.at - (p[0] * b[0] + p[1] * b[1] + p[2] * b[2]);
       const Symmetric metric = {n.x * n.x + kTangential, n.x * n.y, n.x * n.z, n.y * n.y + kTangential, n.y * n.z,
                                 n.z * n.z + kTangential};
-      const Vec3 pull = metric * off * share_;
+      const Vec3 pull = metric * off * sample.weight;
       for (int k = 0, pair = 0; k < 3; ++k) {
         s.r[k] = s.r[k] + pull * b[k];
         for (int l = k; l < 3; ++l, ++pair)
-          for (int i = 0; i < 6; ++i) s.a[pair][i] += share_ * b[k] * b[l] * metric[i];
+          for (int i = 0; i < 6; ++i) s.a[pair][i] += sample.weight * b[k] * b[l] * metric[i];
       }
     });
     const float mass = kPrior * target_.doubled_area(f) / 24;
@@ -295,7 +318,7 @@ class Fit {
     solve_values(off);
     if (options_.chart_column >= 0) keep_in_charts();
     std::vector<float> now;
-    misfit(now, [](int32_t, const float*, const float*) {});
+    misfit(now, [](int32_t, float, const float*, const float*) {});
     for (size_t i = 0; i < values_.size(); ++i)
       if (!(now[i] < off[i]) || off[i] < kExact * kExact * share_) values_[i] = before[i];
   }
@@ -320,9 +343,9 @@ class Fit {
           for (int c = 0; c < width; ++c) {
             off[c] = a[0] * given[0][c] - b[0] * level[0][c] + (a[1] * given[1][c] - b[1] * level[1][c]) +
                      (a[2] * given[2][c] - b[2] * level[2][c]);
-            square[c] += share_ * off[c] * off[c];
+            square[c] += s.weight * off[c] * off[c];
           }
-          each(f, b, off.data());
+          each(f, s.weight, b, off.data());
         });
       }
     });
@@ -345,12 +368,12 @@ class Fit {
       const float m = kPrior * target_.doubled_area(f) / 24;
       mass[f] = {2 * m, m, m, 2 * m, m, 2 * m};
     }
-    misfit(off, [&](int32_t f, const float* b, const float* missing) {
+    misfit(off, [&](int32_t f, float weight, const float* b, const float* missing) {
       for (int k = 0, pair = 0; k < 3; ++k)
-        for (int l = k; l < 3; ++l, ++pair) mass[f][pair] += share_ * b[k] * b[l];
+        for (int l = k; l < 3; ++l, ++pair) mass[f][pair] += weight * b[k] * b[l];
       float* to = right.data() + static_cast<size_t>(f) * 3 * width;
       for (int k = 0; k < 3; ++k)
-        for (int c = 0; c < width; ++c) to[k * width + c] += share_ * b[k] * missing[c];
+        for (int c = 0; c < width; ++c) to[k * width + c] += weight * b[k] * missing[c];
     });
     const Corners& wedges = target_.wedges();
     const Rows<float> rows(pool_, kGrain, wedges, in_.level.wedges, [&](int32_t f, int k, int l) { return mass[f][kPair[k][l]]; });
@@ -428,7 +451,7 @@ class Fit {
   Large<Sample> samples_;
   Large<Hit> hits_;
   std::vector<int32_t> starts_, order_;  // of the samples, by faces of the level
-  float share_ = 0;                      // area for each sample
+  float share_ = 0;                      // area for each sample, the mean
   std::vector<float> values_;
 };
 

@@ -7,7 +7,7 @@
 namespace lodpipe {
 
 struct FitOptions {
-  int samples = 0;            // spread over the original by area
+  int samples = 0;            // spread over the original by area, about
   int moves = 2;              // rounds in which positions move; 0: values alone
   bool fit_values = true;
   int chart_column = -1;      // of `values`: u; v follows it. −1: none

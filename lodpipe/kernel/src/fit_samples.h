@@ -15,6 +15,7 @@ struct Sample {
   Vec3 at, normal;      // place and unit normal of the original, in a box of unit diagonal
   int32_t source;       // face of the original
   float a1, a2;         // barycentric there
+  float weight;         // the area that it stands for
 };
 
 struct Hit {
