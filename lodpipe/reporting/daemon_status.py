@@ -89,12 +89,7 @@ def _row(asset: Mapping[str, Any], now: float, style: Style) -> tuple[str, ...]:
     elif "same_as" in asset:
         text = f"the same content as {asset['same_as']}"
     else:
-        warned = f", {asset['warnings']} warnings" if asset["warnings"] else ""
-        text = (
-            f"{asset['outcome'].replace('_', ' ')} in {asset['seconds']} s{warned}"
-            if asset["outcome"]
-            else asset["reason"]
-        )
+        text = f"{_outcome(asset)} in {asset['seconds']:.1f} s" if asset["outcome"] else asset["reason"]
     return (
         clean(asset["asset"]),
         style(state, _COLOURS.get(state, "dim")),
@@ -102,6 +97,13 @@ def _row(asset: Mapping[str, Any], now: float, style: Style) -> tuple[str, ...]:
         _age(now - asset["since"]),
         clean(text),
     )
+
+
+def _outcome(asset: Mapping[str, Any]) -> str:
+    count = asset["warnings"]
+    warned = f"{count} warning{'s' if count > 1 else ''}" if count else ""
+    said = "" if asset["outcome"] == "warnings" and warned else asset["outcome"].replace("_", " ")
+    return ", ".join(filter(None, (said, warned)))
 
 
 def _age(seconds: float) -> str:

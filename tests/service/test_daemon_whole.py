@@ -111,6 +111,71 @@ def test_a_full_disk_is_waited_for(running, tmp_path):
         subprocess.run(["umount", out], check=False)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a file system to fill")
+def test_a_full_disk_under_the_job_table_is_waited_for(running, tmp_path):
+    """Inputs and results have room, the table has none: nothing is lost, done twice or forgotten, hooks included."""
+    state, told = tmp_path / "state", tmp_path / "told"
+    state.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", state], check=False).returncode:
+        pytest.skip("a file system cannot be mounted here")
+    hook = {"command": ["sh", "-c", f"echo $LODPIPE_ASSET >> {told}"]}
+    daemon = running({"watch": {"on_done": hook}}, "--state", str(state))
+    daemon.state = state
+    try:
+        until(lambda: daemon.says("watching"))
+        write_obj(daemon.drop / "first.obj")
+        until(lambda: daemon.says("first.obj: ok"))
+        with (state / "ballast").open("wb", buffering=0) as file, pytest.raises(OSError, match="No space"):
+            while True:
+                file.write(bytes(1024))
+        for number in range(30):
+            write_obj(daemon.drop / f"a{number}.obj", cells=5 + number)
+        until(lambda: daemon.says("disk is full") or daemon.says("disk I/O error"), 120)
+        assert daemon.process.poll() is None
+        (state / "ballast").unlink()
+        names = ["first", *(f"a{number}" for number in range(30))]
+        until(lambda: daemon.states() == {f"{name}.obj": "done" for name in names}, 400)
+        until(lambda: sorted(told.read_text().split()) == sorted(names), 60)
+        daemon.process.send_signal(signal.SIGTERM)
+        assert daemon.process.wait(60) == 0
+    finally:
+        daemon.end()
+        subprocess.run(["umount", state], check=False)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a file system")
+def test_folders_that_may_only_be_read(running, tmp_path):
+    """DROP may only be read, always; OUT for a while, as a share that met an error: it goes on by itself after that."""
+    out, inside, state = tmp_path / "out", tmp_path / "inside", tmp_path / "state"
+    for folder in (out, inside, tmp_path / "drop"):
+        folder.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "tmpfs", out], check=False).returncode:
+        pytest.skip("a file system cannot be mounted here")
+    subprocess.run(["mount", "--bind", inside, tmp_path / "drop"], check=True)
+    subprocess.run(["mount", "-o", "remount,bind,ro", tmp_path / "drop"], check=True)
+    daemon = running({}, "--state", str(state))
+    daemon.state = state
+    try:
+        until(lambda: daemon.says("watching"))
+        write_obj(inside / "a.obj")
+        until(lambda: daemon.says("a.obj: ok"))
+        subprocess.run(["mount", "-o", "remount,ro", out], check=True)
+        write_obj(inside / "b.obj", cells=6)
+        until(lambda: daemon.says("b.obj: put off for 4 s") or daemon.says("b.obj: put off for 5 s"), 60)
+        assert "Read-only file system" in control.status(state)["assets"][0]["message"]
+        subprocess.run(["mount", "-o", "remount,rw", out], check=True)
+        until(lambda: daemon.states() == {"a.obj": "done", "b.obj": "done"}, 200)
+        assert control.status(state)["assets"][0]["attempts"] == 0
+        assert not (out / ".failed").exists()
+        assert not (inside / ".lodpipe-root").exists()
+    finally:
+        daemon.end()
+        subprocess.run(["umount", out], check=False)
+        subprocess.run(["umount", tmp_path / "drop"], check=False)
+
+
 def test_a_result_that_is_too_large_is_refused(tmp_path):
     world = World(tmp_path, CHAIN | {"limits": {"output_bytes": 2000}})
     write_obj(world.drop / "a.obj")
