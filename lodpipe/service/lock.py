@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import socket
@@ -26,7 +27,7 @@ def take_lock(folder: Path) -> int:
     """
     path = folder / LOCK
     try:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        handle = os.open(path, os.O_RDONLY | os.O_CREAT, 0o644)  # nothing is kept open for writing for months
     except OSError as error:
         raise OutputError(f"cannot be written ({error.strerror})", place=str(path), advice="see to rights") from error
     try:
@@ -46,8 +47,8 @@ def take_lock(folder: Path) -> int:
                 raise NoLocks(
                     f"cannot be locked ({error.strerror})", place=str(path), advice="see --state: it wants a local disk"
                 ) from error
-        os.ftruncate(handle, 0)
-        os.write(handle, f"{os.getpid()} {socket.gethostname()}\n".encode("ascii", "replace"))
+        with contextlib.suppress(OSError):  # a full disk: only the message for the next one is the poorer for it
+            path.write_text(f"{os.getpid()} {socket.gethostname()}\n", encoding="ascii", errors="replace")
     except BaseException:
         os.close(handle)
         raise

@@ -125,7 +125,14 @@ class Daemon:
             for task in Path(f"/proc/{self.process.pid}/task").iterdir():
                 with contextlib.suppress(OSError):  # threads come and go
                     pids += [int(pid) for pid in (task / "children").read_text().split()]
-        return sorted(set(pids))
+        return sorted(pid for pid in set(pids) if self._works(pid))
+
+    @staticmethod
+    def _works(pid: int) -> bool:
+        """Whether a process does jobs: others read the configuration, or are calls of hooks."""
+        with contextlib.suppress(OSError):
+            return b"lodpipe.service.worker" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        return False
 
 
 class Reader(threading.Thread):
@@ -336,7 +343,7 @@ class Publishing:
         return 0
 
 
-def kills(root: Path, count: int) -> dict[str, object]:
+def kills(root: Path, count: int, seconds: float) -> dict[str, object]:
     publishing = Publishing(root, root / "out")
     daemon = Daemon(root, CHAIN | {"stages": ["slow_disk", *CHAIN["stages"]]}, publishing.plugins)
     daemon.start()
@@ -344,7 +351,8 @@ def kills(root: Path, count: int) -> dict[str, object]:
     reader.start()
     dice = random.Random(7)
     contents, done = [], defaultdict(int)
-    while sum(done.values()) < count:
+    end = time.monotonic() + seconds
+    while sum(done.values()) < count and time.monotonic() < end:
         if daemon.process.poll() is not None:
             raise SystemExit(f"the daemon has ended: {daemon.log.read_text()[-500:]}")
         # a few are always on their way: new ones, and edits of what is published
@@ -472,13 +480,13 @@ def main() -> int:
     parser.add_argument("what", nargs="?", choices=("mass", "kills", "soak", "all"), default="all")
     parser.add_argument("--assets", type=int, default=1000)
     parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--seconds", type=float, default=1800)
+    parser.add_argument("--seconds", type=float, default=1800, help="of the soak; the kills end then, too")
     parser.add_argument("--keep", type=Path, help="folder to work in, kept afterwards")
     options = parser.parse_args()
     root = options.keep or Path(tempfile.mkdtemp(prefix="lodpipe-daemon-"))
     parts = {
         "mass": lambda: mass(root / "mass", options.assets),
-        "kills": lambda: kills(root / "kills", options.kills),
+        "kills": lambda: kills(root / "kills", options.kills, options.seconds),
         "soak": lambda: soak(root / "soak", options.seconds),
     }
     failed = False
