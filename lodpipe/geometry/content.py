@@ -31,14 +31,16 @@ TEXELS = 512
 class Content:
     """What textures and colours are worth to a decimation.
 
-    uv     price of a slip of the texture: 1 like a surface that is off by that length
-    soup   the asset's faces
-    seams  (F, 3) float32, rows of the soup: the weight that holds the edge k → k + 1, if it is a seam
+    uv       price of a slip of the texture: 1 like a surface that is off by that length
+    soup     the asset's faces
+    held     (F, 3) float32, rows of the soup: how strongly the contrast across the edge k → k + 1 holds it, a length
+    weights  (F, 3) float32: that over the edge's length, which times the length's square is what a collapse pays
     """
 
     uv: float
     soup: Soup
-    seams: F32
+    held: F32
+    weights: F32
 
     @staticmethod
     def of(asset: Asset, pixels: Mapping[int, U8], finest: int, threads: int = 0) -> Content:
@@ -52,14 +54,18 @@ class Content:
         model = Model(replace(asset, materials=bare), textures=small(pixels.get), threads=threads)
         areas = _areas(model)
         edge = float(np.sqrt(areas.sum() / max(finest, 1)))
-        contrast = seam_contrasts(model, model.soup.wedges)
-        face, slot = np.nonzero(contrast)
+        held = (LIGHT**2 / SLIP * edge * seam_contrasts(model, model.soup.wedges)).astype(np.float32)
+        face, slot = np.nonzero(held)
         ends = model.positions[model.faces[face, (slot + 1) % 3]] - model.positions[model.faces[face, slot]]
         length = np.linalg.norm(ends.astype(np.float64), axis=1)
-        seams = np.full(contrast.shape, PLAIN_SEAM, np.float32)
-        held = LIGHT**2 / SLIP * contrast[face, slot] * edge / np.maximum(length, 1e-9 * edge + 1e-300)
-        seams[face, slot] = np.maximum(held, PLAIN_SEAM)
-        return Content(LIGHT * edge * float(np.sqrt(slip_price(model, SLIP * edge, areas))), model.soup, seams)
+        weights = np.zeros_like(held)
+        weights[face, slot] = held[face, slot] / np.maximum(length, 1e-9 * edge + 1e-300)
+        return Content(LIGHT * edge * float(np.sqrt(slip_price(model, SLIP * edge, areas))), model.soup, held, weights)
+
+    def seams(self, times: float = 1.0) -> F32:
+        """(F, 3) float32, rows of the soup: the weights that hold seams, what the contrast asks for taken `times`."""
+        held: F32 = np.maximum(times * self.weights, PLAIN_SEAM).astype(np.float32)
+        return held
 
 
 def small(pixels: Callable[[int], U8 | None]) -> Textures:

@@ -7,7 +7,8 @@ at the size at which the scene shows it, so that a collapse in a button competes
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -16,12 +17,13 @@ from lodpipe import kernel
 from lodpipe.core.asset import Asset, Lod, Target
 from lodpipe.core.errors import Cancelled, InvalidMesh
 from lodpipe.core.mesh import F32, Mesh
-from lodpipe.geometry.content import Content
+from lodpipe.geometry.content import Content, small
 from lodpipe.geometry.joined import AttributeWeights, Joined, Unseen, without_doubles
 from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.shading import with_normals
 from lodpipe.geometry.similarity import decimate_joined
 from lodpipe.geometry.texture import U8, Textures
+from lodpipe.geometry.trials import WAYS, Jury, Way
 from lodpipe.geometry.visibility import vertex_visibility
 from lodpipe.geometry.visible import Sight
 from lodpipe.kernel import QuadricOptions
@@ -48,7 +50,7 @@ def decimate(source: Mesh | Asset, target: int | float | Target, **settings: Any
     Raises InvalidMesh for a target outside its range.
     """
     goal = _as_target(target)
-    beside = ("weights", "metric", "pixels", "unseen", "threads")
+    beside = ("weights", "metric", "pixels", "unseen", "trials", "threads")
     outside = {name: settings.pop(name) for name in beside if name in settings}
     options = QuadricOptions(**settings)
     if isinstance(source, Mesh):
@@ -67,6 +69,7 @@ def decimate_asset(
     metric: Metric = "quadric",
     pixels: Mapping[int, U8] | None = None,
     unseen: Unseen | None = None,
+    trials: int = 1,
     threads: int = 0,
     progress: Callable[[float, float], None] = _no_progress,
     cancelled: Callable[[], bool] = lambda: False,
@@ -75,8 +78,9 @@ def decimate_asset(
 
     Meshes with a `keep_reason` pass as they are; their triangles count against the target. `pixels` holds the decoded
     images by their row, for the metric `visual` and for SimilarityOptions; factor colours stand in for the rest.
-    `unseen` (`Sight.of`) judges targets in pixels, and has to be given for them if the asset has textures. Raises
-    InvalidMesh for a target out of range, Cancelled when `cancelled` says so.
+    `trials`: in how many ways (at most `len(WAYS)`) the metric `visual` makes each level, of which that is kept which
+    looks best. `unseen` (`Sight.of`) judges targets in pixels, and has to be given for them if the asset has textures.
+    Raises InvalidMesh for a target out of range, Cancelled when `cancelled` says so.
     """
     options = options or QuadricOptions()
     source = Lod(meshes=asset.meshes)
@@ -93,68 +97,40 @@ def decimate_asset(
     counts = [_count(goal, source.triangles) for goal in targets]
     wanted = sorted({max(c - fixed, 0) for c in counts if c is not None}, reverse=True)
     by_error = any(c is None for c in counts)
-    fits = visual and getattr(options, "placement", "") != "endpoint"  # half-edge collapses invent no values
     # what prices are for: the coarsest level; of levels that are found by measuring, a guess
     coarsest = min((c for c in counts if c), default=max(source.triangles // 10, 1))
     goals = [*wanted, 0] if by_error and (not wanted or wanted[-1]) else wanted
-    seam_scale = None
-    if metric == "visual" and isinstance(options, QuadricOptions):
-        content = Content.of(asset, pixels or {}, coarsest, threads)
-        seam_scale = joined.from_soup(asset, content.soup, content.seams / max(options.seam_weight, 1e-6))
-        if not options.attribute_cost:
-            options = replace(options, attribute_cost=True)
-            weights = AttributeWeights(uv=content.uv, motion=(weights or AttributeWeights()).motion)
+    extreme = asset.importance is not None and len(asset.importance.reserved) > 0
+    ways = WAYS[: max(trials, 1)] if visual and not extreme else WAYS[:1]
 
-    def step(done: int, total: int) -> bool:
-        progress(done, total)
+    def step(done: int, total: int, number: int = 0) -> bool:
+        progress(number * total + done, len(ways) * total)
         return not cancelled()
 
-    result: kernel.Decimation
+    def refine(level: kernel.Level) -> kernel.Level:
+        return level
+
+    made: list[dict[int, kernel.Level]] = []
     if isinstance(options, SimilarityOptions):
         options = replace(options, record=options.record or by_error, keep_last=fixed == 0)
-        result = decimate_joined(asset, joined, goals, options, pixels or {}, threads, step)
-    else:
-        values, column_weights = joined.columns(options, weights or AttributeWeights(), coarsest)
-        own = replace(
-            options,
-            record=options.record or by_error,
-            keep_last=fixed == 0,
-            chart_column=joined.chart_column,
-            attribute_cost=options.attribute_cost or joined.moves,
-            follow=fits or joined.moves,
-        )
-
-        def run(factors: F32 | None, wanted: list[int]) -> kernel.Decimation:
-            return kernel.decimate(
-                joined.positions,
-                joined.faces,
-                wanted,
-                own,
-                wedges=joined.wedges,
-                values=values,
-                column_weights=column_weights,
-                importance=factors,
-                locked=joined.pinned,
-                seam_scale=seam_scale,
-                threads=threads,
-                progress=step,
-            )
-
-        result = run(joined.importance, goals)
-        if asset.importance is not None and asset.importance.shares:
-            result = replace(result, levels=joined.with_shares(asset.importance.shares, result.levels, run))
-    if any(level.stop == "cancelled" for level in result.levels) or cancelled():
-        raise Cancelled("cancelled")
-
-    def refine(level: kernel.Level) -> kernel.Level:
-        fitted = joined.fit(level, threads, cancelled) if fits else level
-        if fits and cancelled():  # what there is of it by then
+        result: kernel.Decimation = decimate_joined(asset, joined, goals, options, pixels or {}, threads, step)
+        if any(level.stop == "cancelled" for level in result.levels) or cancelled():
             raise Cancelled("cancelled")
-        return fitted
-
-    made = {level.target: refine(level) for level in result.levels}
-    if asset.importance is not None and len(asset.importance.reserved):
-        made |= joined.recognisable(asset.importance, list(made.values()), options, threads)
+        made.append({level.target: level for level in result.levels})
+    else:
+        options = replace(options, record=options.record or by_error, keep_last=fixed == 0)
+        content = Content.of(asset, pixels or {}, coarsest, threads) if visual else None
+        for number, way in enumerate(ways):
+            run = _Pass.of(asset, joined, options, weights, content, way, coarsest, threads)
+            found = run.levels(goals, partial(step, number=number))
+            if any(level.stop == "cancelled" for level in found.levels) or cancelled():
+                raise Cancelled("cancelled")
+            if number == 0:
+                result, refine = found, partial(run.fitted, cancelled=cancelled)
+            made.append({level.target: run.fitted(level, cancelled) for level in found.levels})
+    if asset.importance is not None and extreme:
+        made[0] |= joined.recognisable(asset.importance, list(made[0].values()), options, threads)
+    jury = Jury(asset, small((pixels or {}).get), threads) if len(ways) > 1 else None
     lods = [source]
     seen: dict[Target, Lod] = {}
     if looks := [goal for goal in targets if goal.pixels is not None]:
@@ -165,11 +141,106 @@ def decimate_asset(
         if count is None:
             lods.append(seen[goal] if goal in seen else joined.search_error(asset, goal, result, refine, cancelled))
             continue
-        level = made[max(count - fixed, 0)]
-        reached = len(level.faces) + fixed <= count
-        reason = "target" if reached else "kept meshes" if level.stop == "triangles" else level.stop
-        lods.append(joined.lod(asset, level, goal, reason))
+        candidates = []
+        for levels in made:
+            level = levels[max(count - fixed, 0)]
+            reached = len(level.faces) + fixed <= count
+            reason = "target" if reached else "kept meshes" if level.stop == "triangles" else level.stop
+            candidates.append(joined.lod(asset, level, goal, reason))
+        if jury is None:
+            lods += candidates
+            continue
+        if cancelled():
+            raise Cancelled("cancelled")
+        least = min(lod.triangles for lod in candidates)
+        candidates = [lod for lod in candidates if lod.triangles <= max(least, count)]
+        lods.append(candidates[jury.best([asset.at(lod) for lod in candidates])])
     return tuple(lods)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """One run of the kernel over the joined meshes, with what it takes."""
+
+    asset: Asset
+    joined: Joined
+    fits: bool
+    options: QuadricOptions
+    values: F32
+    column_weights: list[float]
+    seam_scale: F32 | None
+    held: F32 | None
+    threads: int
+
+    @staticmethod
+    def of(
+        asset: Asset,
+        joined: Joined,
+        options: QuadricOptions,
+        weights: AttributeWeights | None,
+        content: Content | None,
+        way: Way,
+        coarsest: int,
+        threads: int,
+    ) -> _Pass:
+        """`content` is given for the metric `visual` alone; `way` multiplies its prices."""
+        seam_scale = held = None
+        if content is not None:
+            seams = content.seams(way.seam) / max(options.seam_weight, 1e-6)
+            seam_scale = joined.from_soup(asset, content.soup, seams)
+            held = joined.at_vertices(joined.from_soup(asset, content.soup, way.seam * content.held))
+            if not options.attribute_cost:
+                plain = AttributeWeights()
+                options = replace(options, attribute_cost=True)
+                weights = AttributeWeights(
+                    uv=way.slip * content.uv,
+                    normal=way.normal * plain.normal,
+                    color=way.slip * plain.color,
+                    motion=(weights or plain).motion,
+                )
+        # half-edge collapses invent no values
+        fits = content is not None and options.placement != "endpoint"
+        values, column_weights = joined.columns(options, weights or AttributeWeights(), coarsest)
+        options = replace(
+            options,
+            chart_column=joined.chart_column,
+            attribute_cost=options.attribute_cost or joined.moves,
+            follow=fits or joined.moves,
+        )
+        return _Pass(asset, joined, fits, options, values, column_weights, seam_scale, held, threads)
+
+    def levels(self, goals: list[int], step: Callable[[int, int], bool]) -> kernel.Decimation:
+        """The levels as the collapses leave them."""
+
+        def run(factors: F32 | None, wanted: list[int]) -> kernel.Decimation:
+            return kernel.decimate(
+                self.joined.positions,
+                self.joined.faces,
+                wanted,
+                self.options,
+                wedges=self.joined.wedges,
+                values=self.values,
+                column_weights=self.column_weights,
+                importance=factors,
+                locked=self.joined.pinned,
+                seam_scale=self.seam_scale,
+                threads=self.threads,
+                progress=step,
+            )
+
+        result = run(self.joined.importance, goals)
+        if self.asset.importance is None or not self.asset.importance.shares:
+            return result
+        return replace(result, levels=self.joined.with_shares(self.asset.importance.shares, result.levels, run))
+
+    def fitted(self, level: kernel.Level, cancelled: Callable[[], bool]) -> kernel.Level:
+        """The level as it is emitted."""
+        if not self.fits:
+            return level
+        fitted = self.joined.fit(level, self.held, self.threads, cancelled)
+        if cancelled():  # what there is of it by then
+            raise Cancelled("cancelled")
+        return fitted
 
 
 def _as_target(target: int | float | Target) -> Target:

@@ -200,8 +200,16 @@ class Joined:
         weight = (HIDDEN + (1 - HIDDEN) * share).astype(np.float32)
         return replace(self, importance=weight if self.importance is None else weight * self.importance)
 
-    def fit(self, level: kernel.Level, threads: int, cancelled: Callable[[], bool]) -> kernel.Level:
-        """The level with positions and values that fit the source best."""
+    def at_vertices(self, edges: F32) -> F32:
+        """(V,) the largest of the rows (F, 3) of the edges k → k + 1 that end at each vertex."""
+        out = np.zeros(len(self.positions), np.float32)
+        rows = np.flatnonzero(edges.any(axis=1))
+        np.maximum.at(out, self.faces[rows], edges[rows])
+        np.maximum.at(out, np.roll(self.faces[rows], -1, axis=1), edges[rows])
+        return out
+
+    def fit(self, level: kernel.Level, held: F32 | None, threads: int, cancelled: Callable[[], bool]) -> kernel.Level:
+        """The level with positions and values that fit the source best; `held` as `kernel.fit` takes it."""
         count = len(level.faces)
         if not count:
             return level
@@ -214,6 +222,7 @@ class Joined:
             samples=max(24 * count, 2000),
             chart_column=self.chart_column,
             importance=self.importance,
+            held=held,
             threads=threads,
             go_on=lambda: not cancelled(),
         )

@@ -194,6 +194,7 @@ def fit(
     fit_values: bool = True,
     chart_column: int | None = None,
     importance: F32 | None = None,
+    held: F32 | None = None,
     threads: int = 0,
     go_on: Callable[[], bool] | None = None,
 ) -> Level:
@@ -206,6 +207,8 @@ def fit(
     fit_values    whether values are fitted, too; if not they stay
     chart_column  column of `values` that holds u, with v after it: at the border of a chart they stay near it
     importance    (V,) float32 > 0, multiplies the area round the vertex
+    held          (V,) float32 ≥ 0, a length: an edge e of the level at which a chart ends, between two vertices that
+                  stand for such as hold h, pays h · |e| · d² for a step d of an end across it, in each of its faces
     go_on         asked between the steps; False stops, with what there is by then
 
     Positions minimise the squared distance of the samples across the surface (and, with a small weight, along it),
@@ -229,6 +232,7 @@ def fit(
         level.wedges if carried else level.faces,
         level.values,
         _column(importance, np.float32, len(positions), "importance"),
+        _column(held, np.float32, len(positions), "held"),
         level.wedge_to if carried else level.vertex_to,
         go_on or (lambda: True),
         native,

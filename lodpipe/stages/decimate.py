@@ -16,6 +16,7 @@ from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.strip import without_uvs
 from lodpipe.geometry.surface import image_index
 from lodpipe.geometry.texture import U8, Textures
+from lodpipe.geometry.trials import WAYS
 from lodpipe.geometry.visible import Sight
 from lodpipe.io import decode_image, pixels_of
 from lodpipe.kernel import QuadricOptions
@@ -89,6 +90,9 @@ class DecimateParams(Params):
     """`ray`: distance of sample points, in √(2 · mean area of the source's triangles)."""
     image_size: int = Field(SIMILARITY.image_size, ge=16, le=4096)
     """`image`: width and height of the pictures."""
+    trials: int = Field(1, ge=1, le=len(WAYS))
+    """`visual`: in how many ways, with other prices for light, texture and seams, each level is made; pictures tell
+    which one looks most like the source. Each takes as long as the first."""
     round_share: float = Field(DEFAULTS.round_share, gt=0, le=1)
     """Share of the vertices considered at a time: smaller is nearer to the best order, larger is faster."""
 
@@ -123,6 +127,7 @@ def decimate(asset: Asset, params: DecimateParams, context: Context) -> Asset:
         metric="visual" if params.metric == "visual" else "quadric",
         pixels=pixels,
         unseen=_sight(asset, context),
+        trials=params.trials,
         threads=context.threads,
         progress=context.progress,
         cancelled=context.cancelled,

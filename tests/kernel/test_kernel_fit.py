@@ -173,3 +173,22 @@ def test_it_stops_when_told():
     wedges, values, level = made(positions, faces, 100)
     same = kernel.fit(positions, faces, wedges, values, level, 500, go_on=lambda: False)
     np.testing.assert_array_equal(same.positions, level.positions)
+
+
+def test_seams_hold_their_place_and_the_rest_moves():
+    """A seam that was put aside comes back, unless it is told to stay."""
+    tube = seam_cylinder(48, 24, tiles=1.0)
+    wedges, values, level = made(tube.positions, tube.faces, 300, tube.wedges, tube.values)
+    at_seam = np.hypot(tube.positions[:, 0] - 1, tube.positions[:, 1]) < 1e-9
+    rows = np.unique(level.vertex_to[at_seam])
+    level.positions[rows, 1] += 0.03
+
+    def back(held):
+        fitted = kernel.fit(tube.positions, tube.faces, wedges, values, level, 20_000, held=held)
+        step = fitted.positions - level.positions
+        return -step[rows, 1].mean(), np.abs(np.delete(step, rows, axis=0)).max()  # the seam runs along z
+
+    free, told = back(None), back(np.where(at_seam, 1000, 0).astype(np.float32))
+    assert free[0] > 5e-3 > 1e-4 > abs(told[0])
+    assert told[1] > 0
+    assert back(np.zeros(len(tube.positions), np.float32)) == free

@@ -203,11 +203,12 @@ lodpipe::FitMesh fit_mesh(const Table<double>& positions, const Table<int32_t>& 
 nb::dict fit(Table<double> positions, Table<int32_t> faces, Table<int32_t> wedges, Table<float> values,
              Table<double> level_positions, Table<int32_t> level_faces, Table<int32_t> level_wedges,
              Table<float> level_values, std::optional<Column<float>> importance,
-             Column<int32_t> wedge_to, std::function<bool()> go_on, const lodpipe::FitOptions& options) {
+             std::optional<Column<float>> held, Column<int32_t> wedge_to, std::function<bool()> go_on, const lodpipe::FitOptions& options) {
   const lodpipe::FitInput in{fit_mesh(positions, faces, wedges, values),
                              fit_mesh(level_positions, level_faces, level_wedges, level_values),
                              static_cast<int>(values.shape(1)),
                              importance ? importance->data() : nullptr,
+                             held ? held->data() : nullptr,
                              wedge_to.data()};
   lodpipe::FitResult result;
   {
@@ -510,7 +511,8 @@ NB_MODULE(_native, m) {
         "reach"_a, "threads"_a);
   m.def("fit", &fit, "positions"_a.noconvert(), "faces"_a.noconvert(), "wedges"_a.noconvert(), "values"_a.noconvert(),
         "level_positions"_a.noconvert(), "level_faces"_a.noconvert(), "level_wedges"_a.noconvert(),
-        "level_values"_a.noconvert(), "importance"_a.noconvert().none(), "wedge_to"_a.noconvert(), "go_on"_a, "options"_a);
+        "level_values"_a.noconvert(), "importance"_a.noconvert().none(), "held"_a.noconvert().none(),
+        "wedge_to"_a.noconvert(), "go_on"_a, "options"_a);
   m.def("vertex_visibility", &vertex_visibility, "positions"_a.noconvert(), "faces"_a.noconvert(), "hides"_a.noconvert(),
         "views"_a.noconvert(), "side"_a, "threads"_a);
 

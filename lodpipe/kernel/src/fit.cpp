@@ -87,6 +87,39 @@ class Fit {
     scale(original, source_);
     scale(in_.level, at_);
     start_ = at_;
+    if (in_.held) hold_seams();
+  }
+
+  // What holds the level's edges at which a chart ends: the less of what its two ends stand for.
+  void hold_seams() {
+    const int32_t *faces = in_.level.faces, *wedges = in_.level.wedges;
+    std::vector<int32_t> vertex_of(in_.level.wedge_count);
+    for (int64_t c = 0; c < 3 * static_cast<int64_t>(in_.level.face_count); ++c) vertex_of[wedges[c]] = faces[c];
+    std::vector<float> held(in_.level.vertex_count, 0.0f);
+    for (int64_t c = 0; c < 3 * static_cast<int64_t>(in_.original.face_count); ++c) {
+      const int32_t to = in_.wedge_to[in_.original.wedges[c]];
+      if (to < 0) continue;
+      float& h = held[vertex_of[to]];
+      h = std::max(h, in_.held[in_.original.faces[c]] * static_cast<float>(scale_));
+    }
+    held_.assign(3 * static_cast<size_t>(in_.level.face_count), 0.0f);
+    pool_.range(in_.level.face_count, kGrain, [&](int begin, int end) {
+      for (int64_t c = 3 * static_cast<int64_t>(begin); c < 3 * static_cast<int64_t>(end); ++c) {
+        const int64_t to = c % 3 == 2 ? c - 2 : c + 1;
+        const float h = std::min(held[faces[c]], held[faces[to]]);
+        if (h > 0 && !continues(wedges[c], wedges[to])) held_[c] = h;
+      }
+    });
+  }
+
+  // Whether a face of the level has the edge the other way round, with the same wedges.
+  bool continues(int32_t from, int32_t to) const {
+    const Corners& corners = target_.wedges();
+    for (int32_t i = corners.start[to]; i < corners.start[to + 1]; ++i) {
+      const int32_t c = corners.list[i];
+      if (in_.level.wedges[c % 3 == 2 ? c - 2 : c + 1] == from) return true;
+    }
+    return false;
   }
 
   // Samples of the original, on the nearest face of their chart. Those that find none are left out.
@@ -256,6 +289,16 @@ class Fit {
     for (int pair = 0; pair < 6; ++pair) {
       const float m = pair == 0 || pair == 3 || pair == 5 ? 2 * mass : mass;
       s.a[pair][0] += m, s.a[pair][3] += m, s.a[pair][5] += m;
+    }
+    for (int k = 0; in_.held && k < 3; ++k) {  // planes through the edge, perpendicular to the face
+      const float h = held_[3 * static_cast<size_t>(f) + k];
+      if (!(h > 0)) continue;
+      const int l = (k + 1) % 3;
+      const Vec3 e = p[l] - p[k], m = normalized(cross(e, cross(p[1] - p[0], p[2] - p[0])));
+      const Vec3 w = m * (h * length(e));
+      const Symmetric plane = {w.x * m.x, w.x * m.y, w.x * m.z, w.y * m.y, w.y * m.z, w.z * m.z};
+      for (const int end : {k, l})
+        for (int i = 0; i < 6; ++i) s.a[kPair[end][end]][i] += plane[i];
     }
     return s;
   }
@@ -445,7 +488,8 @@ class Fit {
   const std::function<bool()>& go_on_;
   Pool pool_;
   Target target_;
-  Corners vertices_;  // of the level
+  Corners vertices_;         // of the level
+  std::vector<float> held_;  // for each corner of the level, how strongly the edge to the next holds its place
   double center_[3] = {0, 0, 0}, scale_ = 1;
   std::vector<Vec3> source_, at_, start_;  // vertices of the original, of the level, of the level at first
   Large<Sample> samples_;

@@ -29,6 +29,7 @@ struct FitInput {
   FitMesh original, level;
   int columns;
   const float* importance;   // original.vertex_count or null: multiplies the area round the vertex
+  const float* held;         // original.vertex_count or null: how strongly the seams at it hold their place, a length
   const int32_t* wedge_to;   // original.wedge_count: the level's wedge that stands for it; −1: none
 };
 
