@@ -267,3 +267,15 @@ def test_help_starts_without_third_party_packages():
     assert run.returncode == 0, run.stderr
     assert "usage" in run.stdout.lower()
     assert run.stdout.splitlines()[-1].strip() == "FOREIGN"
+
+
+def test_a_plain_run_loads_neither_open3d_nor_scipy(tmp_path: Path):
+    """They take a second and half a second to load, as long as a small model's whole run."""
+    (tmp_path / "m.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    code = (
+        "import sys\nfrom lodpipe.cli import main\n"
+        f"main(['run', {str(tmp_path / 'm.obj')!r}, '-c', 'fast', '-o', {str(tmp_path / 'out')!r}])\n"
+        "print([name for name in ('open3d', 'scipy', 'xatlas') if name in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == "[]"

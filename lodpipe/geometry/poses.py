@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from lodpipe.core.asset import Accessor, Asset, node_matrix
 from lodpipe.core.mesh import F32, F64, Mesh
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 POSES = 24
 """At most so many poses are sampled, over all animations."""
@@ -97,6 +99,8 @@ def skin_weights(mesh: Mesh, corner: NDArray[Any], joints: int) -> csr_matrix:
     rows = np.repeat(np.arange(len(corner)), index.shape[1])
     inside = index.ravel() < joints
     entries = (weight.ravel()[inside], (rows[inside], index.ravel()[inside]))
+    from scipy.sparse import csr_matrix  # takes as long to load as a small model to process
+
     return csr_matrix(entries, shape=(len(corner), joints))
 
 

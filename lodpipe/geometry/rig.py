@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from lodpipe.core.mesh import F32, F64, I32, Mesh
 
@@ -101,6 +100,8 @@ def _closest(source: Mesh, corners: I32, points: F64, known: I32, target: I32) -
     lost = (known < 0) & ~np.isfinite(best)
     if lost.any() and len(source.faces):
         vertex, row = np.unique(source.faces.ravel(), return_index=True)
+        from scipy.spatial import cKDTree  # takes as long to load as a small model to process
+
         _, near = cKDTree(source.positions[vertex]).query(points[lost])
         rows[lost] = corners.ravel()[row[near]][:, None]
     return rows, share
