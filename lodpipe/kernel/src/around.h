@@ -9,6 +9,47 @@ namespace lodpipe {
 
 constexpr float kLeastQuality = 1e-3f;  // 2·area / longest edge², below which a new face is a sliver
 
+struct FourPoints {
+  Lanes x, y, z;
+  // `p` point to positions with at least one more number behind them.
+  static FourPoints of_rows(const void* const p[4]) {
+    Lanes row[4];
+    for (int k = 0; k < 4; ++k) std::memcpy(&row[k], p[k], sizeof(Lanes));
+    transpose(row[0], row[1], row[2], row[3]);
+    return {row[0], row[1], row[2]};
+  }
+  static FourPoints of(const Vec3* const p[4]) {
+    return {Lanes{p[0]->x, p[1]->x, p[2]->x, p[3]->x}, Lanes{p[0]->y, p[1]->y, p[2]->y, p[3]->y},
+            Lanes{p[0]->z, p[1]->z, p[2]->z, p[3]->z}};
+  }
+};
+inline FourPoints operator-(const FourPoints& a, const FourPoints& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+inline Lanes dot(const FourPoints& a, const FourPoints& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+inline FourPoints cross(const FourPoints& a, const FourPoints& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+// Of four triangles, the corners before and after: bit k, if the k-th turned by more than the limit or became a sliver.
+inline int four_bad(const FourPoints (&before)[3], const FourPoints (&after)[3], float flip_cos) {
+  const auto most = [](Lanes a, Lanes b) { return a > b ? a : b; };
+  const auto look = [&](const FourPoints (&p)[3], FourPoints* normal, Lanes* size) {
+    const FourPoints base = p[2] - p[1], side = p[0] - p[1], other = p[0] - p[2];
+    *normal = cross(base, side);
+    const Lanes longest = most(most(dot(base, base), dot(side, side)), dot(other, other));
+    *size = longest * longest;
+  };
+  FourPoints a, b;
+  Lanes size_before, size;
+  look(before, &a, &size_before);
+  look(after, &b, &size);
+  const Lanes area_before = dot(a, a), area = dot(b, b), cosine = dot(a, b);  // squared, twice as large
+  const auto sliver = (area < kLeastQuality * kLeastQuality * size) & (area * size_before < 0.25f * area_before * size);
+  const auto turned =
+      (area_before > 1e-12f * size) & ((cosine <= 0) | (cosine * cosine < flip_cos * flip_cos * area_before * area));
+  const auto bad = sliver | turned;
+  return (bad[0] & 1) | (bad[1] & 2) | (bad[2] & 4) | (bad[3] & 8);
+}
+
 // A face as a vertex sees it: the vertex's corner in it, and the other two vertices in their order. Of a link one of
 // the two is kNone.
 struct Spoke {
@@ -158,28 +199,10 @@ class Around {
 
   // The same for the triangles (p → x, q, r) in the lanes of a vector.
   static bool four_turn(Vec3 p, Vec3 x, const Vec3* const* q, const Vec3* const* r, float flip_cos) {
-    const Lanes qx{q[0]->x, q[1]->x, q[2]->x, q[3]->x}, qy{q[0]->y, q[1]->y, q[2]->y, q[3]->y},
-        qz{q[0]->z, q[1]->z, q[2]->z, q[3]->z};
-    const Lanes rx{r[0]->x, r[1]->x, r[2]->x, r[3]->x}, ry{r[0]->y, r[1]->y, r[2]->y, r[3]->y},
-        rz{r[0]->z, r[1]->z, r[2]->z, r[3]->z};
-    const Lanes ex = rx - qx, ey = ry - qy, ez = rz - qz;
-    const Lanes ox = p.x - qx, oy = p.y - qy, oz = p.z - qz, nx = x.x - qx, ny = x.y - qy, nz = x.z - qz;
-    const Lanes ax = ey * oz - ez * oy, ay = ez * ox - ex * oz, az = ex * oy - ey * ox;
-    const Lanes bx = ey * nz - ez * ny, by = ez * nx - ex * nz, bz = ex * ny - ey * nx;
-    const Lanes before = ax * ax + ay * ay + az * az, after = bx * bx + by * by + bz * bz;
-    const Lanes cosine = ax * bx + ay * by + az * bz;
-    const Lanes tx = x.x - rx, ty = x.y - ry, tz = x.z - rz, sx = p.x - rx, sy = p.y - ry, sz = p.z - rz;
-    const auto most = [](Lanes a, Lanes b) { return a > b ? a : b; };
-    const Lanes base = ex * ex + ey * ey + ez * ez;
-    const Lanes longest = most(most(base, nx * nx + ny * ny + nz * nz), tx * tx + ty * ty + tz * tz);
-    const Lanes longest_before = most(most(base, ox * ox + oy * oy + oz * oz), sx * sx + sy * sy + sz * sz);
-    const Lanes size = longest * longest, size_before = longest_before * longest_before;
-    // a sliver, and it was none before; or over the limit of the turn
-    const auto sliver = (after < kLeastQuality * kLeastQuality * size) & (after * size_before < 0.25f * before * size);
-    const auto turned =
-        (before > 1e-12f * size) & ((cosine <= 0) | (cosine * cosine < flip_cos * flip_cos * before * after));
-    const auto bad = sliver | turned;
-    return bad[0] | bad[1] | bad[2] | bad[3];
+    const FourPoints second = FourPoints::of(q), third = FourPoints::of(r);
+    const FourPoints before[3] = {{Lanes{} + p.x, Lanes{} + p.y, Lanes{} + p.z}, second, third};
+    const FourPoints after[3] = {{Lanes{} + x.x, Lanes{} + x.y, Lanes{} + x.z}, second, third};
+    return four_bad(before, after, flip_cos);
   }
 
   Buffer<Neighbour> near_v_, near_u_;

@@ -4,6 +4,7 @@
 // exact. Blocks of the Morton order, small enough for a core's cache, are collapsed side by side, and gone through again
 // for what has become cheap enough meanwhile. A collapse whose ring leaves its block waits for blocks that lie otherwise,
 // or for all others to end. Blocks depend on the mesh alone, so the result is the same for any number of threads.
+// Where a round's share is large and the target is far, rounds are coarse instead.
 #include "decimate.h"
 
 #include <array>
@@ -11,6 +12,8 @@
 #include <numeric>
 
 #include "around.h"
+#include "coarse.h"
+#include "evaluate.h"
 #include "merge.h"
 #include "mesh_state.h"
 #include "prepare.h"
@@ -24,28 +27,25 @@ constexpr int kBlock = 3072;       // vertices whose state fits into a core's ca
 constexpr int kLeastBlock = 1024;  // live vertices
 constexpr size_t kSample = 4096;   // costs that are looked at to find a share's limit
 constexpr size_t kFew = 64;
-constexpr int kVanishFaces = 4;    // a component of so few faces goes as a whole
-
-// Working memory of one thread.
-struct Scratch {
-  Buffer<int32_t> owned, component;
-  Buffer<float> costs;
-  Around around;
-  Merge merge;
-};
+constexpr float kCoarse = 0.3f;    // share from which rounds may be coarse
+constexpr int64_t kNear = 16;      // they are while more than this part of the mesh has to go
 
 class Decimator {
  public:
   Decimator(const Input& in, const Options& options, const std::function<bool(int64_t, int64_t)>& progress)
-      : in_(in), options_(options), progress_(progress), pool_(std::max(options.threads, 1)), results_(in_, s_) {
+      : in_(in), options_(options), progress_(progress), pool_(std::max(options.threads, 1)), results_(in_, s_),
+        evaluation_(s_, options_, in.locked), coarse_round_(s_, options_, pool_) {
     prepare(in_, options_, pool_, s_);
     keep_topology_ = options_.keep_topology;
     if (options_.follow) {
       s_.vertex_into.resize(s_.vertices.size());
-      s_.wedge_into.resize(s_.wedge_source.size());
       std::iota(s_.vertex_into.begin(), s_.vertex_into.end(), 0);
+    }
+    if (options_.follow || s_.late) {
+      s_.wedge_into.resize(s_.wedge_source.size());
       std::iota(s_.wedge_into.begin(), s_.wedge_into.end(), 0);
     }
+    coarse_ = options_.round_share >= kCoarse && CoarseRound::suits(s_, options_);
     max_error_ = options_.max_error < 0 ? kInfinity : static_cast<float>(options_.max_error * s_.scale);
   }
 
@@ -58,94 +58,12 @@ class Decimator {
         if (!progress_(start - s_.triangles, start - last)) stop = Stop::cancelled;
         else if (!round(s_.triangles - target)) stop = stuck();
       }
-      results_.emit(target, s_.triangles <= target ? Stop::triangles : stop, relaxed_, options_.follow);
+      results_.emit(target, s_.triangles <= target ? Stop::triangles : stop, relaxed_, options_.follow, pool_);
     }
     return std::move(results_.result);
   }
 
  private:
-  // ---------------------------------------------------------------- evaluate
-  // Threads write to the candidates of their own vertices alone, and read nothing that others write.
-
-  // The cheapest collapse among the edges that v owns (those to vertices of a higher number). False, and nothing done,
-  // if a neighbour is outside the vertices [begin, end).
-  bool evaluate(int32_t v, int32_t begin, int32_t end, Scratch& w) {
-    Candidate& own = s_.candidates[v];
-    const bool regular = !(s_.flags[v] & kIrregular);  // each neighbour follows v in just one face
-    int32_t* owned = w.owned.refill(2 * static_cast<size_t>(s_.vertices[v].count));
-    int faces = 0;
-    bool inside = true;
-    Around::each(s_, v, [&](const Spoke& spoke) {
-      ++faces;
-      inside &= (spoke.next >= begin && spoke.next < end) || spoke.next == kNone;
-      if (spoke.next > v) *owned++ = spoke.next;
-      if (regular) return;
-      inside &= (spoke.previous >= begin && spoke.previous < end) || spoke.previous == kNone;
-      if (spoke.previous > v) *owned++ = spoke.previous;
-    });
-    w.owned.end_at(owned);
-    if (!inside) return false;
-    const int32_t skip = own.todo & kDirty ? 0 : own.skip;
-    own = {kInfinity, kNone, skip, static_cast<uint8_t>(skip ? kPassedOver : 0)};
-    if (!regular) {
-      std::sort(w.owned.begin(), w.owned.end());
-      w.owned.resize(std::unique(w.owned.begin(), w.owned.end()) - w.owned.begin());
-    }
-    if (!faces) s_.flags[v] |= kDead;  // which nobody else reads: it has no neighbours
-    if (w.owned.empty()) return true;
-    if (faces < kVanishFaces && gather_component(v, w.component)) {
-      own.todo |= kVanish;
-      if (skip == 0) own.cost = vanishing_cost(w.component), own.partner = w.owned[0];
-      return true;
-    }
-    if (skip >= static_cast<int32_t>(w.owned.size())) return true;
-    w.costs.resize(w.owned.size());
-    w.merge.costs(s_, options_, v, w.owned, w.costs.data());
-    for (int n = 0;; ++n) {
-      const auto best = std::min_element(w.costs.begin(), w.costs.end());
-      if (n == skip) {
-        if (*best < kInfinity) own.cost = *best, own.partner = w.owned[best - w.costs.begin()];
-        return true;
-      }
-      *best = kInfinity;
-    }
-  }
-
-  // The vertices of v's component if it has at most kVanishFaces faces.
-  bool gather_component(int32_t v, Buffer<int32_t>& members) const {
-    members.clear();
-    members.push_back(v);
-    int faces = 0;
-    for (size_t i = 0; i < members.size(); ++i) {
-      int here = 0;
-      bool links = false;
-      Around::each(s_, members[i], [&](const Spoke& spoke) {
-        links |= spoke.link();
-        if (++here > kVanishFaces || links) return;
-        faces += slot_of(spoke.corner) == 0;
-        for (const int32_t u : {spoke.next, spoke.previous})
-          if (std::find(members.begin(), members.end(), u) == members.end()) members.push_back(u);
-      });
-      if (links || here > kVanishFaces || members.size() > 4 || (s_.flags[members[i]] & kLocked)) return false;
-    }
-    return faces <= kVanishFaces;
-  }
-
-  float vanishing_cost(const Buffer<int32_t>& members) const {
-    const Vec3 origin = s_.vertices[members[0]].p;
-    Quadric sum;
-    Vec3 middle;
-    for (const int32_t m : members) {
-      Quadric q = s_.vertices[m].q;
-      q.move_origin(origin - s_.vertices[m].p);
-      sum += q;
-      middle = middle + (s_.vertices[m].p - origin) * (1.0f / static_cast<float>(members.size()));
-    }
-    Vec3 y = middle;
-    if (!sum.minimise(kDamping * sum.trace(), middle, &y)) y = middle;
-    return std::max(sum.at(y), 0.0f);
-  }
-
   // ---------------------------------------------------------------- pick
 
   // Fills order_ with the cheapest share of the candidates, at most `most`. Many come in the order of their place, which
@@ -168,10 +86,13 @@ class Decimator {
       if (cost(v) <= limit) order_.push_back(v);
     const auto cheaper = [&](int32_t a, int32_t b) { return cost(a) != cost(b) ? cost(a) < cost(b) : a < b; };
     if (order_.size() > most) {
-      std::nth_element(order_.begin(), order_.begin() + static_cast<int64_t>(most), order_.end(), cheaper);
-      order_.resize(most);
-      limit = cost(*std::max_element(order_.begin(), order_.end(), cheaper));
-      std::sort(order_.begin(), order_.end());
+      const auto last = order_.begin() + static_cast<int64_t>(most) - 1;
+      std::nth_element(order_.begin(), last, order_.end(), cheaper);
+      const int32_t dearest = *last;
+      limit = cost(dearest);
+      order_.clear();
+      for (const int32_t v : s_.live)
+        if (cost(v) <= limit && !cheaper(dearest, v)) order_.push_back(v);
     }
     if (order_.size() < kFew) std::sort(order_.begin(), order_.end(), cheaper);
   }
@@ -202,11 +123,9 @@ class Decimator {
 
   // One round. False if nothing could be collapsed and nothing is left to be tried.
   bool round(int64_t wanted) {
-    constexpr int32_t all = std::numeric_limits<int32_t>::max();
     pool_.range(static_cast<int>(s_.live.size()), kGrain, [&](int begin, int end) {
       thread_local Scratch w;
-      for (int i = begin; i < end; ++i)
-        if (s_.candidates[s_.live[i]].todo & (kDirty | kRetry)) evaluate(s_.live[i], 0, all, w);
+      evaluation_.many(begin, end, w);
     });
     s_.live.erase(std::remove_if(s_.live.begin(), s_.live.end(), [&](int32_t v) { return s_.flags[v] & kDead; }),
                   s_.live.end());
@@ -214,6 +133,12 @@ class Decimator {
     // A collapse removes two triangles at most (others are left to the last part): so many cannot overshoot.
     pick(static_cast<size_t>(std::max<int64_t>(1, (wanted + 1) / 2)));
     if (order_.empty()) return false;
+    if (coarse_ && wanted > s_.triangles / kNear) {
+      const int64_t done = coarse_round_.run(order_);
+      coarse_ = 8 * done > static_cast<int64_t>(order_.size());
+      for (Block& b : blocks_) b.room = {};
+      return true;
+    }
     waiting_.resize(order_.size());
     for (size_t i = 0; i < order_.size(); ++i) waiting_[i] = static_cast<int32_t>(i);
     tried_ = 0;
@@ -297,7 +222,7 @@ class Decimator {
     for (size_t n = 0; n < block.changed.size() && block.removed + 2 <= block.budget; ++n) {
       const int32_t v = block.changed[n];
       if (s_.flags[v] & kDead || !(s_.candidates[v].todo & (kDirty | kRetry))) continue;
-      if (!evaluate(v, block.begin, block.end, w)) continue;
+      if (!evaluation_.one(v, block.begin, block.end, w)) continue;
       if (s_.candidates[v].cost <= limit_) collapse(rank, v, block, w);
     }
   }
@@ -401,10 +326,9 @@ class Decimator {
     uint8_t& flags = s_.flags[v];
     flags &= static_cast<uint8_t>(~kSeveralWedges);
     flags |= (m.moved ? kMoved : 0) | (m.groups().size() > 1 ? kSeveralWedges : 0) | (s_.flags[u] & (kIrregular | kLocked));
-    if (options_.follow) {
-      s_.vertex_into[u] = v;
+    if (options_.follow) s_.vertex_into[u] = v;
+    if (!s_.wedge_into.empty())
       for (const auto& [from, to] : m.groups().links()) s_.wedge_into[from] = to;
-    }
     s_.candidates[v].todo |= kDirty;
     block.changed.push_back(v);
     s_.flags[u] = kDead;
@@ -432,7 +356,7 @@ class Decimator {
   }
 
   Outcome vanish(int32_t rank, int32_t v, Scratch& w, Block& block) {
-    if (!gather_component(v, w.component)) {
+    if (!evaluation_.gather_component(v, w.component)) {
       s_.candidates[v].todo |= kDirty;
       ++block.done;
       return Outcome::touched;
@@ -507,6 +431,9 @@ class Decimator {
   Pool pool_;
   State s_;
   Results results_;
+  Evaluation evaluation_;
+  CoarseRound coarse_round_;
+  bool coarse_ = false;
   std::vector<float> sample_;
   std::vector<int32_t> order_;    // vertices whose candidates the round tries
   std::vector<int32_t> waiting_;  // rows of it

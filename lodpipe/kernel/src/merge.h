@@ -16,6 +16,21 @@ constexpr float kDamping = 3e-6f;    // share of the trace that pulls the optimu
 constexpr float kShortEdge = 1e-9f;  // among equals the shorter edge goes first
 constexpr float kReach = 2.0f;       // the optimum lies within so many edge lengths of the edge's middle
 
+// Four vertices in the lanes of vectors.
+struct FourVertices {
+  Lanes x, y, z, xx, xy, xz, yy, yz, zz, bx, by, bz, c;
+
+  static FourVertices of(const Vertex* const v[4]) {
+    Lanes row[3][4];  // the first twelve numbers of each, four at a time
+    for (int i = 0; i < 3; ++i) {
+      for (int k = 0; k < 4; ++k) std::memcpy(&row[i][k], reinterpret_cast<const char*>(v[k]) + 16 * i, 16);
+      transpose(row[i][0], row[i][1], row[i][2], row[i][3]);
+    }
+    return {row[0][0], row[0][1], row[0][2], row[0][3], row[1][0], row[1][1], row[1][2], row[1][3],
+            row[2][0], row[2][1], row[2][2], row[2][3], Lanes{v[0]->q.c, v[1]->q.c, v[2]->q.c, v[3]->q.c}};
+  }
+};
+
 class Merge {
  public:
   Quadric quadric;       // after commit(): of the merged vertex, at its place
@@ -32,11 +47,14 @@ class Merge {
       for (size_t i = 0; i < count; ++i) out[i] = cost(s, options, v, others[i]);
       return;
     }
+    const Vertex* const same[4] = {&a, &a, &a, &a};
+    const FourVertices first = FourVertices::of(same);
     for (size_t i = 0; i < count; i += 4) {
       const Vertex* b[4];
       for (size_t k = 0; k < 4; ++k) b[k] = &s.vertices[others[std::min(i + k, count - 1)]];
       Lanes four;
-      const int sound = plane_costs(a, b, &four);
+      FourPoints unused;
+      const int sound = four_places(first, FourVertices::of(b), &four, &unused);
       for (size_t k = 0; k < 4 && i + k < count; ++k)
         out[i + k] = sound >> k & 1 && !(s.flags[others[i + k]] & kLocked) ? four[k] : cost(s, options, v, others[i + k]);
     }
@@ -93,46 +111,16 @@ class Merge {
     return finish(std::max(least.at(*y), 0.0f), trace, d);
   }
 
-  // Writes the merged attributes into `s` and fills `quadric`. Follows a place() of the same pair, and comes before the
-  // faces are changed.
-  void commit(State& s, int32_t v, int32_t u, Vec3 y, const Around& around) {
-    const bool fixed = y.x == 0 && y.y == 0 && y.z == 0 && fixed_;
-    moved = !fixed;
-    if (!s.columns) {
-      join(s, v, u, 0);
-      quadric.move_origin(y);
-      groups_.clear();
-      return;
-    }
-    groups_.find(s, v, u);
-    if (s.fitted) {
-      fit(s, v, u, y, fixed, around);
-    } else {  // half-edge collapses change no value
-      join(s, v, u, 0);
-      quadric.move_origin(y);
-    }
-    groups_.link_up(!fixed);
-  }
-
-  // After commit(): what became of the wedges.
-  const WedgeGroups& groups() const { return groups_; }
-
- private:
-  // place() for four neighbours in the lanes of a vector; bit k of the result: lane k needs no fall-back.
-  static int plane_costs(const Vertex& a, const Vertex* const b[4], Lanes* cost) {
-    const auto pick = [&](auto field) { return Lanes{field(*b[0]), field(*b[1]), field(*b[2]), field(*b[3])}; };
-    const Lanes dx = pick([](const Vertex& v) { return v.p.x; }) - a.p.x;
-    const Lanes dy = pick([](const Vertex& v) { return v.p.y; }) - a.p.y;
-    const Lanes dz = pick([](const Vertex& v) { return v.p.z; }) - a.p.z;
-    Lanes xx = pick([](const Vertex& v) { return v.q.xx; }), xy = pick([](const Vertex& v) { return v.q.xy; });
-    Lanes xz = pick([](const Vertex& v) { return v.q.xz; }), yy = pick([](const Vertex& v) { return v.q.yy; });
-    Lanes yz = pick([](const Vertex& v) { return v.q.yz; }), zz = pick([](const Vertex& v) { return v.q.zz; });
-    Lanes bx = pick([](const Vertex& v) { return v.q.bx; }), by = pick([](const Vertex& v) { return v.q.by; });
-    Lanes bz = pick([](const Vertex& v) { return v.q.bz; }), c = pick([](const Vertex& v) { return v.q.c; });
-    const Lanes ax = xx * dx + xy * dy + xz * dz, ay = xy * dx + yy * dy + yz * dz, az = xz * dx + yz * dy + zz * dz;
-    c = c - 2 * (bx * dx + by * dy + bz * dz) + (ax * dx + ay * dy + az * dz) + a.q.c;
-    bx = bx - ax + a.q.bx, by = by - ay + a.q.by, bz = bz - az + a.q.bz;
-    xx += a.q.xx, xy += a.q.xy, xz += a.q.xz, yy += a.q.yy, yz += a.q.yz, zz += a.q.zz;
+  // place() for four pairs in the lanes of vectors, where nothing but planes steers; bit k of the result: lane k needs no
+  // fall-back. `place` counts from a.
+  static int four_places(const FourVertices& a, const FourVertices& b, Lanes* cost, FourPoints* place) {
+    const Lanes dx = b.x - a.x, dy = b.y - a.y, dz = b.z - a.z;
+    const Lanes ax = b.xx * dx + b.xy * dy + b.xz * dz, ay = b.xy * dx + b.yy * dy + b.yz * dz,
+                az = b.xz * dx + b.yz * dy + b.zz * dz;
+    const Lanes c = b.c - 2 * (b.bx * dx + b.by * dy + b.bz * dz) + (ax * dx + ay * dy + az * dz) + a.c;
+    const Lanes bx = b.bx - ax + a.bx, by = b.by - ay + a.by, bz = b.bz - az + a.bz;
+    const Lanes xx = b.xx + a.xx, xy = b.xy + a.xy, xz = b.xz + a.xz, yy = b.yy + a.yy, yz = b.yz + a.yz,
+                zz = b.zz + a.zz;
     const Lanes trace = xx + yy + zz, damping = kDamping * trace;
     const Lanes mx = 0.5f * dx, my = 0.5f * dy, mz = 0.5f * dz;
     const Lanes p = xx + damping, q = yy + damping, r = zz + damping;
@@ -148,9 +136,35 @@ class Merge {
     const Lanes e = (xx * x + xy * y + xz * z) * x + (xy * x + yy * y + yz * z) * y + (xz * x + yz * y + zz * z) * z +
                     2 * (bx * x + by * y + bz * z) + c;
     *cost = (e > 0 ? e : Lanes{}) + kShortEdge * trace * edge;
+    *place = {x, y, z};
     return (sound[0] & 1) | (sound[1] & 2) | (sound[2] & 4) | (sound[3] & 8);
   }
 
+  // Writes the merged attributes into `s` and fills `quadric`. Follows a place() of the same pair, and comes before the
+  // faces are changed.
+  void commit(State& s, int32_t v, int32_t u, Vec3 y, const Around& around) {
+    const bool fixed = y.x == 0 && y.y == 0 && y.z == 0 && fixed_;
+    moved = !fixed;
+    if (!s.columns) {
+      join(s, v, u, 0);
+      quadric.move_origin(y);
+      groups_.clear();
+      return;
+    }
+    groups_.find(s, v, u);
+    if (s.fitted) {
+      fit(s, v, u, y, fixed, around);
+    } else {  // half-edge collapses change no value, and those of `late` come later
+      join(s, v, u, 0);
+      quadric.move_origin(y);
+    }
+    groups_.link_up(!fixed);
+  }
+
+  // After commit(): what became of the wedges.
+  const WedgeGroups& groups() const { return groups_; }
+
+ private:
   float finish(float cost, float trace, Vec3 edge) {
     deviation = trace > 0 ? std::sqrt(cost / trace) : 0;
     return cost + kShortEdge * trace * dot(edge, edge);

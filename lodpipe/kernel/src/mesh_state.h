@@ -76,6 +76,11 @@ class Buffer {
     if (most > items_.size()) items_.resize(most + 32);
     return items_.data();
   }
+  // The same, after the items that are there.
+  T* grow(size_t most) {
+    if (size_ + most > items_.size()) items_.resize(2 * (size_ + most) + 32);
+    return items_.data() + size_;
+  }
   void end_at(const T* end) { size_ = static_cast<size_t>(end - items_.data()); }
   size_t size() const { return size_; }
   bool empty() const { return !size_; }
@@ -109,10 +114,13 @@ class CornerLists {
   };
 
   void start(int64_t filled) {
-    capacity_ = 2 * filled + 4096;
-    items_.reset(LargeAllocator<int32_t>().allocate(static_cast<size_t>(capacity_)));
+    if (2 * filled + 4096 > capacity_) {
+      capacity_ = 2 * filled + 4096;
+      items_.reset(LargeAllocator<int32_t>().allocate(static_cast<size_t>(capacity_)));
+    }
     used_ = filled;
   }
+  int32_t* items() { return items_.get(); }
   int32_t* at(const Vertex& v) { return items_.get() + v.first; }
   const int32_t* begin(const Vertex& v) const { return items_.get() + v.first; }
   const int32_t* end(const Vertex& v) const { return items_.get() + v.first + v.count; }
@@ -167,6 +175,7 @@ struct State {
   std::vector<int32_t> vertex_source, wedge_source;
   // wedges, row-major with `columns`
   int columns = 0, steering = 0;  // the first `steering` columns have a share in the cost
+  bool late = false;                // values are taken from the input when a level is emitted; wedges have no rows
   bool fitted = false;              // wedges have slopes and a weight
   size_t row = 0;                   // floats a wedge
   int chart_column = -1;            // first of the two UV columns that must stay in their charts
@@ -174,7 +183,8 @@ struct State {
   std::vector<float> column_scale;
   Large<float> rows;  // of the wedges: slopes of the columns, values of the columns, weight; all that a merge needs
   std::vector<uint8_t> wedge_moved;
-  std::vector<int32_t> vertex_into, wedge_into;  // with `follow`: what each was merged into; itself while it lives
+  std::vector<int32_t> vertex_into, wedge_into;  // with `follow`, wedges with `late`, too: what each was merged into;
+                                                 // itself while it lives
 
   Slope* slopes(int32_t wedge) { return reinterpret_cast<Slope*>(&rows[static_cast<size_t>(wedge) * row]); }
   const Slope* slopes(int32_t wedge) const {

@@ -25,6 +25,8 @@ class Pool {
   Pool(const Pool&) = delete;
   Pool& operator=(const Pool&) = delete;
 
+  int threads() const { return static_cast<int>(workers_.size()) + 1; }
+
   // Calls body(i) once for each i in [0, count), in any order and on any thread.
   void run(int count, const std::function<void(int)>& body) {
     if (workers_.empty() || count < 2) {

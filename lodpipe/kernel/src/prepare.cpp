@@ -58,7 +58,7 @@ void place_faces(const Input& in, const std::vector<int32_t>& rank, State& s) {
   std::vector<int32_t> start(static_cast<size_t>(in.vertex_count) + 1, 0);
   const auto first = [&](int64_t f) {
     const int32_t* v = in.faces + 3 * f;
-    return std::min({rank[v[0]], rank[v[1]], rank[v[2]]});
+    return std::min(std::min(rank[v[0]], rank[v[1]]), rank[v[2]]);
   };
   const auto flat = [&](int64_t f) {
     const int32_t* v = in.faces + 3 * f;
@@ -107,7 +107,8 @@ void place_wedges(const Input& in, const Options& options, State& s) {
   if (s.chart_column >= 0 && (v_column >= s.column_source.size() || s.column_source[v_column] != options.chart_column + 1))
     s.chart_column = -1;
   const size_t count = s.wedge_source.size();
-  if (!s.columns) return;
+  s.late = s.columns && !s.steering && !options.record;
+  if (!s.columns || s.late) return;
   s.fitted = s.steering || options.placement != Placement::endpoint;
   s.row = s.fitted ? (static_cast<size_t>(s.columns) * 5 + 1 + 3) / 4 * 4 : s.columns;
   s.rows.assign(count * s.row, 0.0f);
@@ -116,24 +117,6 @@ void place_wedges(const Input& in, const Options& options, State& s) {
     for (int k = 0; k < s.columns; ++k)
       s.values(static_cast<int32_t>(i))[k] =
           in.values[static_cast<size_t>(s.wedge_source[i]) * s.columns + s.column_source[k]] * s.column_scale[k];
-}
-
-void list_corners(State& s) {
-  const auto corners = [](const Face& f) { return f.link() ? 2 : 3; };
-  for (const Face& f : s.faces)
-    for (int k = 0; k < corners(f); ++k) ++s.vertices[f.v[k]].count;
-  int64_t filled = 0;
-  for (Vertex& v : s.vertices) {
-    v.first = static_cast<int32_t>(filled);
-    filled += v.count;
-    v.count = 0;
-  }
-  s.corners.start(filled);
-  for (int32_t i = 0; i < static_cast<int32_t>(s.faces.size()); ++i)
-    for (int k = 0; k < corners(s.faces[i]); ++k) {
-      Vertex& v = s.vertices[s.faces[i].v[k]];
-      s.corners.at(v)[v.count++] = corner(i, k);
-    }
 }
 
 // Planes and slopes of the faces, added to their corners. Each quadric has its origin at its own corner, through which
@@ -230,23 +213,9 @@ class Surroundings {
   void operator()(int v) {
     Vertex& a = s_.vertices[v];
     uint8_t& flags = s_.flags[v];
-    ring_.clear();
-    uint64_t entering = 0, leaving = 0;  // sums of hashes: equal if the same edges enter and leave, with the same wedges
-    for (const int32_t* at = s_.corners.begin(a); at != s_.corners.end(a); ++at) {
-      const int32_t c = *at;
-      const Face& f = s_.faces[face_of(c)];
-      if (f.link()) {
-        flags |= kIrregular;
-        continue;
-      }
-      const int32_t* w = s_.wedges[face_of(c)].w;
-      const int k = slot_of(c), i = (k + 1) % 3, j = (k + 2) % 3;
-      ring_.push_back({f.v[i], f.v[j], w[k], w[i], w[j], f.source, k});
-      if (w[k] != ring_[0].wedge) flags |= kSeveralWedges;
-      leaving += mix(f.v[i], w[i]);
-      entering += mix(f.v[j], w[j]);
-    }
-    if (entering != leaving || (flags & kSeveralWedges) || options_.crease_weight > 0 || repeated()) look_closer(a, flags);
+    const bool inside = all_inside(a);
+    if (!inside || s_.fitted) gather(a, flags);
+    if (!inside) look_closer(a, flags);
     const int source = s_.vertex_source[v];
     if (in_.importance) weigh(a, in_.importance[source]);
     if (in_.locked && in_.locked[source]) flags |= kLocked;
@@ -258,17 +227,60 @@ class Surroundings {
     int32_t source, slot;  // face of the input, and which of its corners
   };
 
+  // Whether it is certain that nothing is to be found here: the same edges enter and leave, with the same wedges (sums of
+  // hashes tell), no neighbour comes next twice, and all corners have one wedge.
+  bool all_inside(const Vertex& a) const {
+    if (options_.crease_weight > 0 || s_.has_links) return false;
+    const Face* const faces = s_.faces.data();
+    const Wedges* const wedges = s_.wedges.data();
+    const int32_t *at = s_.corners.begin(a), *const end = s_.corners.end(a);
+    if (at == end) return true;
+    const int32_t wedge = wedges[face_of(*at)].w[slot_of(*at)];
+    uint64_t entering = 0, leaving = 0, seen = 0;
+    bool twice = false, one = true;
+    for (; at != end; ++at) {
+      const int32_t* v = faces[face_of(*at)].v;
+      const int32_t* w = wedges[face_of(*at)].w;
+      const int k = slot_of(*at), i = kNext[k], j = kNext[i];
+      const uint64_t out = mix(v[i], w[i]), bit = uint64_t{1} << (out >> 58);
+      one &= w[k] == wedge;
+      leaving += out;
+      entering += mix(v[j], w[j]);
+      twice |= (seen & bit) != 0;
+      seen |= bit;
+    }
+    return one && entering == leaving && (!twice || !repeated(a));
+  }
+
+  // Whether a neighbour comes next twice.
+  bool repeated(const Vertex& a) const {
+    const auto next = [&](const int32_t* c) { return s_.faces[face_of(*c)].v[kNext[slot_of(*c)]]; };
+    if (a.count > 32) return true;
+    for (const int32_t* c = s_.corners.begin(a); c != s_.corners.end(a); ++c)
+      for (const int32_t* d = s_.corners.begin(a); d != c; ++d)
+        if (next(c) == next(d)) return true;
+    return false;
+  }
+
+  void gather(const Vertex& a, uint8_t& flags) {
+    ring_.clear();
+    for (const int32_t* at = s_.corners.begin(a); at != s_.corners.end(a); ++at) {
+      const int32_t c = *at;
+      const Face& f = s_.faces[face_of(c)];
+      if (f.link()) {
+        flags |= kIrregular;
+        continue;
+      }
+      const int32_t* w = s_.wedges[face_of(c)].w;
+      const int k = slot_of(c), i = kNext[k], j = kNext[i];
+      ring_.push_back({f.v[i], f.v[j], w[k], w[i], w[j], f.source, k});
+      if (w[k] != ring_[0].wedge) flags |= kSeveralWedges;
+    }
+  }
+
   static uint64_t mix(int32_t v, int32_t w) {
     uint64_t x = (static_cast<uint64_t>(v) << 32 | static_cast<uint32_t>(w)) * 0x9E3779B97F4A7C15u;
     return (x ^ x >> 29) * 0xBF58476D1CE4E5B9u;
-  }
-
-  bool repeated() const {
-    if (ring_.size() > 32) return true;
-    for (size_t i = 1; i < ring_.size(); ++i)
-      for (size_t j = 0; j < i; ++j)
-        if (ring_[i].next == ring_[j].next) return true;
-    return false;
   }
 
   void look_closer(Vertex& a, uint8_t& flags) {
@@ -342,12 +354,34 @@ class Surroundings {
 
 }  // namespace
 
+void list_corners(State& s) {
+  const auto corners = [](const Face& f) { return f.link() ? 2 : 3; };
+  std::vector<int32_t> counts(s.vertices.size(), 0);
+  int32_t* const next = counts.data();
+  for (const Face& f : s.faces)
+    for (int k = 0; k < corners(f); ++k) ++next[f.v[k]];
+  int32_t filled = 0;
+  for (const int32_t v : s.live) {
+    s.vertices[v].first = filled, s.vertices[v].count = next[v];
+    next[v] = filled;
+    filled += s.vertices[v].count;
+  }
+  s.corners.start(filled);
+  int32_t* const items = s.corners.items();
+  const Face* const faces = s.faces.data();
+  const auto count = static_cast<int32_t>(s.faces.size());
+  for (int32_t i = 0; i < count; ++i)
+    for (int k = 0; k < corners(faces[i]); ++k) items[next[faces[i].v[k]]++] = corner(i, k);
+}
+
 void prepare(const Input& in, const Options& options, Pool& pool, State& s) {
   fit_unit_box(in, s);
   place_faces(in, order_all(in, s), s);
   place_wedges(in, options, s);
   if (options.pair_distance > 0) add_links(static_cast<float>(options.pair_distance * s.scale), s);
   s.has_links = static_cast<int64_t>(s.faces.size()) > s.triangles;
+  s.live.resize(in.vertex_count);
+  std::iota(s.live.begin(), s.live.end(), 0);
   list_corners(s);
   add_faces(options, pool, s);
   pool.range(in.vertex_count, kGrain, [&](int begin, int end) {
@@ -355,9 +389,8 @@ void prepare(const Input& in, const Options& options, Pool& pool, State& s) {
     for (int v = begin; v < end; ++v) look(v);
   });
   s.candidates.assign(in.vertex_count, {kInfinity, kNone, 0, kDirty});
-  s.live.reserve(in.vertex_count);
-  for (int v = 0; v < in.vertex_count; ++v)
-    if (s.vertices[v].count) s.live.push_back(v);
+  s.live.erase(std::remove_if(s.live.begin(), s.live.end(), [&](int32_t v) { return !s.vertices[v].count; }),
+               s.live.end());
 }
 
 }  // namespace lodpipe

@@ -10,6 +10,21 @@ namespace lodpipe {
 
 using Lanes = float __attribute__((vector_size(16)));  // four numbers in one register
 
+// Rows become columns.
+inline void transpose(Lanes& a, Lanes& b, Lanes& c, Lanes& d) {
+#if defined(__clang__)
+#define LODPIPE_SHUFFLE(x, y, i, j, k, l) __builtin_shufflevector(x, y, i, j, k, l)
+#else
+  using Order = int __attribute__((vector_size(16)));
+#define LODPIPE_SHUFFLE(x, y, i, j, k, l) __builtin_shuffle(x, y, Order{i, j, k, l})
+#endif
+  const Lanes ab = LODPIPE_SHUFFLE(a, b, 0, 4, 1, 5), cd = LODPIPE_SHUFFLE(c, d, 0, 4, 1, 5);
+  const Lanes ab2 = LODPIPE_SHUFFLE(a, b, 2, 6, 3, 7), cd2 = LODPIPE_SHUFFLE(c, d, 2, 6, 3, 7);
+  a = LODPIPE_SHUFFLE(ab, cd, 0, 1, 4, 5), b = LODPIPE_SHUFFLE(ab, cd, 2, 3, 6, 7);
+  c = LODPIPE_SHUFFLE(ab2, cd2, 0, 1, 4, 5), d = LODPIPE_SHUFFLE(ab2, cd2, 2, 3, 6, 7);
+#undef LODPIPE_SHUFFLE
+}
+
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 struct Vec3 {

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "carry.h"
 #include "mesh_state.h"
 
 namespace lodpipe {
@@ -78,7 +79,7 @@ class Results {
     }
   }
 
-  void emit(int64_t target, Stop stop, bool relaxed, bool follow) {
+  void emit(int64_t target, Stop stop, bool relaxed, bool follow, Pool& pool) {
     Level level;
     level.target = target;
     level.stop = stop;
@@ -86,12 +87,16 @@ class Results {
     std::vector<int32_t> number(s_.vertices.size(), kNone), wedge_number(s_.wedge_source.size(), kNone);
     float error = 0;
     const size_t count = static_cast<size_t>(s_.triangles);
-    level.faces.reserve(3 * count), level.wedges.reserve(3 * count), level.face_source.reserve(count);
+    level.faces.resize(3 * count), level.wedges.resize(3 * count), level.face_source.resize(count);
+    int32_t *to_face = level.faces.data(), *to_wedge = level.wedges.data(), *to_source = level.face_source.data();
+    level.vertex_source.reserve(s_.live.size()), level.positions.reserve(3 * s_.live.size());
+    level.wedge_source.reserve(s_.live.size()), level.values.reserve(s_.live.size() * s_.columns);
+    if (s_.late) carried_.reserve(s_.live.size());
     for (size_t i = 0; i < s_.wedges.size(); ++i) {
       const Face& f = s_.faces[i];
       const Wedges& wedges = s_.wedges[i];
       if (f.dead()) continue;
-      level.face_source.push_back(f.source);
+      *to_source++ = f.source;
       for (int k = 0; k < 3; ++k) {
         int32_t& n = number[f.v[k]];
         if (n == kNone) {
@@ -101,19 +106,25 @@ class Results {
           level.vertex_source.push_back(s_.flags[f.v[k]] & kMoved ? kNone : s_.vertex_source[f.v[k]]);
           for (const double c : world(f.v[k])) level.positions.push_back(c);
         }
-        level.faces.push_back(n);
+        *to_face++ = n;
         int32_t& w = wedge_number[wedges.w[k]];
         if (w == kNone) {
           w = static_cast<int32_t>(level.wedge_source.size());
-          emit_wedge(wedges.w[k], level);
+          emit_wedge(wedges.w[k], f.v[k], level);
         }
-        level.wedges.push_back(w);
+        *to_wedge++ = w;
       }
     }
     level.error = error / s_.scale;
+    std::vector<int32_t> wedge_to;
+    if (follow || s_.late) wedge_to = followed(s_.wedge_into, s_.wedge_source, wedge_number, in_.wedge_count);
+    if (s_.late) {
+      Carry(in_, s_, carried_, wedge_to).run(pool, level.values.data());
+      carried_.clear();
+    }
     if (follow) {
       level.vertex_to = followed(s_.vertex_into, s_.vertex_source, number, in_.vertex_count);
-      level.wedge_to = followed(s_.wedge_into, s_.wedge_source, wedge_number, in_.wedge_count);
+      level.wedge_to = std::move(wedge_to);
     }
     result.levels.push_back(std::move(level));
   }
@@ -142,23 +153,28 @@ class Results {
     return out;
   }
 
-  void emit_wedge(int32_t w, Level& level) const {
-    const bool moved = s_.columns && s_.wedge_moved[w];
+  void emit_wedge(int32_t w, int32_t v, Level& level) {
+    const bool moved = s_.columns && (s_.late ? s_.flags[v] & kMoved : s_.wedge_moved[w]);
     level.wedge_source.push_back(moved ? kNone : s_.wedge_source[w]);
     const size_t row = level.values.size();
     level.values.resize(row + s_.columns);
-    values_of(w, level.values.data() + row);
+    if (s_.late) {
+      const bool at_seam = s_.flags[v] & kSeveralWedges;
+      carried_.push_back({s_.vertices[v].p, s_.wedge_source[w], moved, moved && at_seam && s_.chart_column >= 0});
+    }
+    if (!s_.late || !moved) values_of(w, level.values.data() + row);
   }
 
   // A wedge's values in the input's order and scale; to the last bit the input's while it was not moved.
   void values_of(int32_t w, float* out) const {
-    const bool moved = s_.columns && s_.wedge_moved[w];
+    const bool moved = s_.columns && !s_.late && s_.wedge_moved[w];
     for (int k = 0; k < s_.columns; ++k)
       out[s_.column_source[k]] =
           moved ? s_.values(w)[k] / s_.column_scale[k]
                 : in_.values[static_cast<size_t>(s_.wedge_source[w]) * s_.columns + s_.column_source[k]];
   }
 
+  std::vector<CarriedWedge> carried_;  // of the level being emitted
   const Input& in_;
   State& s_;  // changed only in that its paths get shorter
 };

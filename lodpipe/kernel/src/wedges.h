@@ -49,6 +49,13 @@ class WedgeGroups {
     number_groups();
   }
 
+  // The wedge of a vertex that has just one.
+  static int32_t first_wedge(const State& s, int32_t v) {
+    const int32_t* c = s.corners.begin(s.vertices[v]);
+    while (s.faces[face_of(*c)].dead()) ++c;
+    return s.wedges[face_of(*c)].w[slot_of(*c)];
+  }
+
   // Group of a wedge of v or u, or kNone.
   int32_t group_of(int32_t wedge) const {
     const int32_t row = row_of(wedge);
@@ -75,12 +82,6 @@ class WedgeGroups {
 
  private:
   static constexpr size_t kMany = 16;  // fewer are searched one by one; a pole may have hundreds
-
-  static int32_t first_wedge(const State& s, int32_t v) {
-    const int32_t* c = s.corners.begin(s.vertices[v]);
-    while (s.faces[face_of(*c)].dead()) ++c;
-    return s.wedges[face_of(*c)].w[slot_of(*c)];
-  }
 
   int32_t add(int32_t wedge, bool of_u) {
     const int32_t found = row_of(wedge);
