@@ -64,17 +64,23 @@ def without_doubles(mesh: Mesh) -> Mesh:
 
     Some exporters give every corner of every triangle a vertex of its own: an edge between equal ones is no seam.
     """
-    if not mesh.attributes or mesh.wedge_count <= len(mesh.positions):
+    rows = len(next(iter(mesh.attributes.values()), ()))
+    if rows <= len(mesh.positions):
         return mesh
-    rows = len(next(iter(mesh.attributes.values())))
     place, owner = np.zeros(rows, np.int32), np.zeros(rows, np.int32)
     place[mesh.wedges] = mesh.faces
     owner[mesh.wedges] = mesh.face_primitive[:, None]
-    keys = [np.stack([place, owner], axis=1), *(values + np.float32(0) for values in mesh.attributes.values())]
+    asked = np.flatnonzero((np.bincount(place) > 1)[place])  # the others are alone at their position
+    parts = [np.stack([place, owner], axis=1), *mesh.attributes.values()]
+    keys = [part[asked] + part.dtype.type(0) for part in parts]  # −0 is 0
     first, row = unique_rows(np.concatenate([key.view(np.uint32) for key in keys], axis=1))
-    if len(first) == rows:
+    if len(first) == len(asked):
         return mesh
-    return replace(mesh, wedges=row[mesh.wedges], attributes={n: v[first] for n, v in mesh.attributes.items()})
+    stands = np.arange(rows)
+    stands[asked] = asked[first][row]
+    kept, number = np.unique(stands, return_inverse=True)
+    wedges = number.astype(np.int32)[mesh.wedges]
+    return replace(mesh, wedges=wedges, attributes={n: v[kept] for n, v in mesh.attributes.items()})
 
 
 @dataclass(frozen=True, eq=False)
