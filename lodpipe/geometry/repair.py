@@ -26,6 +26,8 @@ FEW = 0.05
 """Folded faces of up to that share of a chart's area are cut out of it; with more it is unfolded anew."""
 THIN, THICK = 2.0, 8.0
 """Where most charts are thinner than so many texels they are enlarged until most have so many."""
+MIPS = (8, 4, 2)
+"""Charts move by multiples of so many texels where there is room for it: mip levels then mix what they mixed before."""
 WIDE = 16.0
 """Gutters do not become narrower than they were, up to so many texels."""
 
@@ -218,9 +220,18 @@ def _packed(uv: F64, label: I32, options: RepairOptions, padding: float) -> tupl
         if scale > 0.999 or options.size or side >= options.largest:
             break
         side *= 2
-    if scale > 0.999:
-        return _aligned(uv, placed, label), side, 1.0
-    return placed, side, float(scale)
+    if scale <= 0.999:
+        return placed, side, float(scale)
+    step = 1
+    for coarser in MIPS:
+        try:
+            roomier = pack(uv, label, (side, side), padding + 2 * coarser, largest=1.0, straighten=False)
+        except InvalidMesh:
+            continue
+        if float(_flat_areas(roomier).sum()) > 0.998 * area:
+            placed, step = roomier, coarser
+            break
+    return _aligned(uv, placed, label, step), side, 1.0
 
 
 def _enlargement(uv: F64, label: I32) -> float:
@@ -230,20 +241,20 @@ def _enlargement(uv: F64, label: I32) -> float:
     return 1.0 if middle >= THIN or middle <= 0 else float(2 ** np.ceil(np.log2(THICK / middle)))
 
 
-def _aligned(old: F64, new: F64, label: I32) -> F64:
-    """Charts moved by less than a texel, to where every old texel falls onto a new one."""
+def _aligned(old: F64, new: F64, label: I32, step: int) -> F64:
+    """Charts moved by less than `step` texels, to where old squares of `step`² texels fall onto new ones."""
     first = np.zeros(int(label.max(initial=-1)) + 1, np.int64)
     first[label[::-1]] = np.arange(len(label))[::-1]
     # the old texel grid passes through old + n; a quarter turn takes it to a grid again
     a, b = old[first], new[first]
     turned = np.abs((b[:, 1] - b[:, 0]) - (a[:, 1] - a[:, 0])).max(axis=1) > 1e-6 * (1 + np.abs(a).max(axis=(1, 2)))
     shift = np.zeros((len(first), 2))
-    shift[~turned] = (a[~turned, 0] - b[~turned, 0]) % 1.0
+    shift[~turned] = (a[~turned, 0] - b[~turned, 0]) % step
     for chart in np.flatnonzero(turned):
         edge, image = (x[chart, 1:] - x[chart, :1] for x in (a, b))
         if abs(np.linalg.det(edge)) > 1e-12:
             turn = np.rint(np.linalg.solve(edge, image))
-            shift[chart] = (a[chart, 0] @ turn - b[chart, 0]) % 1.0
+            shift[chart] = (a[chart, 0] @ turn - b[chart, 0]) % step
     return new + shift[label][:, None]
 
 
