@@ -70,6 +70,8 @@ def _plan(asset: Asset, group: Group, sizes: dict[int, tuple[float, float]], opt
     for number, rows in group.parts:
         mesh = asset.meshes[number]
         own = _rows_of(charts_of(mesh, uv_set(asset, group)), rows)
+        if options.one_to_one:
+            own = _cut_at_folds(own)
         wrong = np.ones(len(rows), bool)
         wrong[np.searchsorted(rows, own.rows)] = False
         solid = ~without_area(mesh)
@@ -274,6 +276,17 @@ def _rows_of(charts: Charts, rows: I32) -> Charts:
     keep = np.isin(charts.rows, rows)
     _, label = np.unique(charts.label[keep], return_inverse=True)
     return Charts(charts.rows[keep], charts.uv[keep], charts.corners[keep], charts.group[keep], label.astype(np.int32))
+
+
+def _cut_at_folds(charts: Charts) -> Charts:
+    """Charts that lie on themselves cut where they turn over: mirrored halves become charts of their own."""
+    found = layout.uv_overlaps(charts.uv, charts.label, charts.label)
+    folded = np.unique(found.charts[found.charts[:, 0] == found.charts[:, 1], 0])
+    if not len(folded):
+        return charts
+    turned = np.isin(charts.label, folded) & (charts.doubled_area > 0)
+    corners = charts.corners * 2 + turned[:, None].astype(np.int32)
+    return replace(charts, corners=corners, label=layout.chart_labels(corners))
 
 
 def _joined(parts: Sequence[Charts]) -> Charts:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
+from io import BytesIO
 
 import numpy as np
+import PIL.Image
 import pytest
 from pydantic import ValidationError
 
@@ -13,6 +16,7 @@ from lodpipe.core.asset import Asset, Lod
 from lodpipe.core.material import Image, Material
 from lodpipe.core.mesh import Mesh, Primitive
 from lodpipe.geometry.uv_defects import uv_defects
+from lodpipe.io.encode import KTX_TOOLS
 from lodpipe.io.images import encode_png
 from lodpipe.stage import Context
 from lodpipe.stages.bake import BakeParams, bake
@@ -126,6 +130,76 @@ def test_meshes_that_are_kept_keep_their_textures(tmp_path):
     assert [material.name for material in level.materials] == ["paint"]
     assert level.images[0].data == two_levels().images[0].data
     assert level.document["textures"][0]["source"] == 0
+
+
+def encoded(mode: str, kind: str) -> bytes:
+    """A plain colour (200, 100, 50) as `mode` holds it, as a file."""
+    picture = PIL.Image.new("RGB", (64, 64), (200, 100, 50))
+    if mode == "I;16":
+        picture = PIL.Image.fromarray(np.full((64, 64), 200 * 257, np.uint16))
+    elif mode == "P":
+        picture = picture.quantize()
+    elif mode != "RGB":
+        picture = picture.convert(mode)
+    out = BytesIO()
+    picture.save(out, kind)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("mode", "kind", "colour"),
+    [
+        ("P", "PNG", (200, 100, 50)),
+        ("I;16", "PNG", (200, 200, 200)),
+        ("1", "PNG", None),
+        ("LA", "PNG", (124, 124, 124)),
+        ("CMYK", "JPEG", (200, 100, 50)),
+        ("L", "JPEG", (124, 124, 124)),
+    ],
+)
+def test_images_of_every_kind(mode, kind, colour):
+    baked, context = run(two_levels(data=encoded(mode, kind)), size=64, maps=("base_color",))
+    assert context.warnings == []
+    pixels = io.decode_image(baked.lods[1].own.images[0])
+    if colour is not None:
+        assert np.abs(pixels.astype(int) - colour).max() <= 4
+
+
+def test_a_huge_image_is_told_and_its_factor_baked():
+    data = bytearray(encode_png(board()))
+    data[16:24] = (100_000).to_bytes(4, "big") * 2
+    baked, context = run(two_levels(data=bytes(data)), size=64, maps=("base_color",))
+    assert "its place in baked textures holds the factors alone" in " ".join(context.warnings)
+    assert not baked.lods[1].own.images
+
+
+@pytest.mark.skipif(not any(map(shutil.which, KTX_TOOLS)), reason="neither toktx nor basisu is installed")
+def test_ktx2_by_the_machine_s_tool(tmp_path):
+    baked, context = run(two_levels(), size=64, format="ktx2")
+    assert context.warnings == []
+    assert all(image.data[:6] == b"\xabKTX 2" for image in baked.lods[1].own.images)
+    export(baked, ExportParams(), Context(output=tmp_path))
+    assert "KHR_texture_basisu" in (tmp_path / "LOD1" / "ball_LOD1.glb").read_bytes().decode("latin1")
+
+
+@pytest.mark.parametrize("tool", KTX_TOOLS)
+def test_ktx2_by_a_tool_that_is_faked(tool, tmp_path, monkeypatch):
+    """What is called, and that its file is taken: the program copies its input's length behind KTX2's first bytes."""
+    program = tmp_path / tool
+    program.write_text(
+        '#!/bin/sh\necho "$@" >> '
+        + str(tmp_path / "said")
+        + '\nfor word; do case "$word" in *.ktx2) out="$word";; esac; done\n'
+        "printf '\\253KTX 20\\273' > \"$out\"\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    baked, context = run(two_levels(), size=64, format="ktx2")
+    assert context.warnings == []
+    assert all(image.data[:6] == b"\xabKTX 2" for image in baked.lods[1].own.images)
+    colour, normal = (tmp_path / "said").read_text().splitlines()
+    assert "uastc" in normal and "uastc" not in colour
+    assert "linear" in normal and "linear" not in colour
 
 
 def test_a_broken_image_is_told_and_its_factor_baked():
