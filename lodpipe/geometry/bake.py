@@ -261,7 +261,7 @@ class _Job:
         if self.merged and wants(EMISSIVE) and len(emissive) > 1:
             paths[EMISSIVE] = None
         unlit = any("KHR_materials_unlit" in m.gltf.get("extensions", {}) for m in self.materials.values())
-        if wants(NORMAL) and not unlit:
+        if wants(NORMAL) and not unlit and not self.options.same_surface:
             paths[NORMAL] = None
         if wants(OCCLUSION) and self.sky is not None:
             paths[OCCLUSION] = None

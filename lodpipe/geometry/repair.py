@@ -147,15 +147,14 @@ def new_layout(
     return (*_packed(np.concatenate(uv), numbers.astype(np.int32), options, padding), problem)
 
 
-#: Figures of a layout and by how much, as a factor, each may be worse after a repair; `charts` and `seam_length` are
-#: not among them: what lies on itself has to be cut.
+#: Figures of a layout and by how much, as a factor, each may be worse after a repair; `charts`,
+#: `sliver_charts` and `seam_length` are not among them: what lies on itself has to be cut.
 HELD = {
     "overlap_percent": 1.0,
     "flipped_percent": 1.02,
     "out_of_range_percent": 1.0,
     "zero_area_faces": 1.0,
     "missing_faces": 1.0,
-    "sliver_charts": 1.0,
     "stretch_l2": 1.02,
     "density_cv": 1.05,
 }
@@ -164,9 +163,15 @@ ROUNDING = 1e-3
 
 
 def worsened(before: UvFigures, after: UvFigures, padding: float) -> list[str]:
-    """Which figures of a layout a repair has made worse, in words; `padding` is the gutter that was asked for."""
+    """Which figures of a layout a repair has made worse, in words; `padding` is the gutter that was asked for.
+
+    Where faces have got UVs, or an area in the texture, stretch and density are those of other faces than before.
+    """
     told = []
+    mended = after.missing_faces + after.zero_area_faces < before.missing_faces + before.zero_area_faces
     for name, factor in HELD.items():
+        if mended and factor > 1:
+            continue
         a, b = getattr(before, name), getattr(after, name)
         if b > a * factor + ROUNDING:
             told.append(f"{name} {a:.3g} → {b:.3g}")

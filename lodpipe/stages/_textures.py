@@ -7,17 +7,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from lodpipe import io
 from lodpipe.core.asset import Asset, Lod
 from lodpipe.core.errors import AssetError, LimitError
 from lodpipe.core.material import Image, Material, MaterialSet, renumbered
 from lodpipe.geometry.bake import Baked
+from lodpipe.geometry.camera import Camera, views
+from lodpipe.geometry.render import render
 from lodpipe.geometry.slots import Path, is_colour, is_normal, map_name, slots
-from lodpipe.geometry.surface import image_index
-from lodpipe.geometry.texture import U8
+from lodpipe.geometry.surface import Model, image_index
+from lodpipe.geometry.texture import U8, Textures
+from lodpipe.io import pixels_of
 from lodpipe.stage import Context
 
 Format = Literal["png", "jpeg", "webp", "ktx2"]
+VIEWS, SIZE = 6, 384
+"""Pictures by which textures are judged."""
 CLAMP = 33071
 SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": CLAMP, "wrapT": CLAMP}
 
@@ -76,6 +83,23 @@ def finished(asset: Asset, level: Lod, baked: Baked, encoding: Encoding, context
     own = MaterialSet(tuple(materials), tuple(images), tuple(textures), (SAMPLER,))
     own = _with_kept(asset, own, baked.kept) if baked.kept else own
     return dataclasses.replace(level, meshes=baked.meshes, own=own)
+
+
+def likeness(source: Asset, others: Sequence[Asset], context: Context) -> list[float]:
+    """For each of `others` how alike it and `source` are: PSNR of the mean squared difference over six pictures, in dB;
+    99 for none. An asset without levels: its meshes are looked at."""
+    first, *models = (
+        Model(asset, None, Textures(pixels_of(asset, context.warn)), context.threads) for asset in (source, *others)
+    )
+    squares = np.zeros((len(models), VIEWS))
+    for view, direction in enumerate(views(VIEWS)):
+        context.check_cancelled()
+        camera = Camera.around(first.centre, first.radius, direction)
+        wanted = render(first, camera, SIZE, SIZE, supersample=1).astype(np.float32)
+        for row, model in enumerate(models):
+            squares[row, view] = np.square(wanted - render(model, camera, SIZE, SIZE, supersample=1)).mean()
+    means = squares.mean(axis=1)
+    return [min(99.0, float(10 * np.log10(255**2 / mean))) if mean > 0 else 99.0 for mean in means]
 
 
 def _with_slots(gltf: dict[str, Any], indices: dict[Path, int]) -> dict[str, Any]:

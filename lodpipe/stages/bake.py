@@ -8,16 +8,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lodpipe.core.asset import Asset, Lod
+from lodpipe.core.asset import Asset, Lod, Target
 from lodpipe.geometry.bake import BakeOptions, Group, bake_level, groups_of
 from lodpipe.geometry.bake_size import auto_side
 from lodpipe.geometry.bake_source import SourceMesh
+from lodpipe.geometry.decimate import decimate_asset
 from lodpipe.geometry.flatten import flatten
 from lodpipe.geometry.occlusion import Occlusion
 from lodpipe.geometry.slots import SlotTextures
 from lodpipe.geometry.switch import settle_switches
 from lodpipe.stage import Context, Params, stage
-from lodpipe.stages._textures import Encoding, Format, decoded, finished
+from lodpipe.stages._textures import Encoding, Format, decoded, finished, likeness
 
 Side = Annotated[int, Field(ge=16, le=16384)]
 
@@ -45,6 +46,9 @@ class BakeParams(Params):
     reach: float | None = Field(None, gt=0, le=100)
     """How far from a level its source is looked for, in % of the bounding box's diagonal; left out: twice the level's
     error."""
+    compare: bool = False
+    """Also make levels of as many triangles that keep the source's textures, and report how alike six pictures of
+    these and of the baked ones are to the source."""
     seconds: float = Field(60.0, gt=0)
     """Time for xatlas to unfold a texture's charts; after it they are laid out in a simpler way."""
 
@@ -100,7 +104,22 @@ def bake(asset: Asset, params: BakeParams, context: Context) -> Asset:
         encoding = Encoding(params.format, params.quality, f"{asset.name}_LOD{number}")
         levels.append(finished(asset, level, baked, encoding, context))
         context.progress(number, len(asset.lods) - 1)
-    return dataclasses.replace(asset, lods=tuple(levels))
+    baked_asset = dataclasses.replace(asset, lods=tuple(levels))
+    if params.compare:
+        _compare(baked_asset, context)
+    return baked_asset
+
+
+def _compare(asset: Asset, context: Context) -> None:
+    """Record how alike pictures of the source and of each level are, and of a level of as many triangles that keeps
+    the source's UVs and textures."""
+    source = dataclasses.replace(asset, lods=())
+    goals = [Target(triangles=max(level.triangles, 1)) for level in asset.lods[1:]]
+    shared = decimate_asset(source, goals, threads=context.threads, cancelled=context.cancelled)
+    for number, (level, other) in enumerate(zip(asset.lods[1:], shared[1:], strict=True), 1):
+        pair = [dataclasses.replace(asset.at(lod), lods=()) for lod in (other, level)]
+        for name, value in zip(("shared", "baked"), likeness(source, pair, context), strict=True):
+            context.record(f"lod{number}.psnr_{name}", value, "dB")
 
 
 def _progress(context: Context, done: int, total: int) -> Callable[[float], None]:

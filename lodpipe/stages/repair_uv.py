@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from lodpipe.core.asset import Asset, Lod
@@ -13,20 +12,13 @@ from lodpipe.core.errors import InvalidMesh
 from lodpipe.core.mesh import F64
 from lodpipe.geometry.bake import BakeOptions, Group, bake_level, groups_of
 from lodpipe.geometry.bake_source import SourceMesh
-from lodpipe.geometry.camera import Camera, views
 from lodpipe.geometry.charts import charts_of
-from lodpipe.geometry.render import render
 from lodpipe.geometry.repair import Plan, RepairOptions, new_layout, plan, uv_set, with_worst_anew, worsened
 from lodpipe.geometry.slots import SlotTextures
-from lodpipe.geometry.surface import Model
-from lodpipe.geometry.texture import Textures
 from lodpipe.geometry.uv_defects import texture_sizes, uv_defects, uv_figures
-from lodpipe.io import pixels_of
 from lodpipe.stage import Context, Params, stage
-from lodpipe.stages._textures import Encoding, Format, decoded, finished
+from lodpipe.stages._textures import Encoding, Format, decoded, finished, likeness
 
-VIEWS, SIZE = 6, 384
-"""Pictures by which a repair is judged."""
 ROUNDS = 3
 """How often a layout is made anew with more faces to unfold."""
 
@@ -91,7 +83,7 @@ def repair_uv(asset: Asset, params: RepairUvParams, context: Context) -> Asset:
         plans = [p for p in plans if not any(number in worse for number, _ in p.group.parts)]
     else:
         return asset
-    psnr = _likeness(asset, repaired, context)
+    psnr = likeness(asset, [repaired], context)[0]
     context.record("psnr", psnr, "dB")
     if psnr < params.least_psnr:
         context.warn(
@@ -176,18 +168,3 @@ def _worse(before: Asset, after: Asset, plans: list[Plan], params: RepairUvParam
         if worse := worsened(a, b, params.padding):
             told[number] = ", ".join(worse)
     return told
-
-
-def _likeness(before: Asset, after: Asset, context: Context) -> float:
-    """PSNR of the pictures' mean squared difference, in dB; 99 for none."""
-    models = [
-        Model(asset, None, Textures(pixels_of(asset, context.warn)), context.threads) for asset in (before, after)
-    ]
-    squares = []
-    for direction in views(VIEWS):
-        context.check_cancelled()
-        camera = Camera.around(models[0].centre, models[0].radius, direction)
-        a, b = (render(model, camera, SIZE, SIZE, supersample=1).astype(np.float32) for model in models)
-        squares.append(float(np.square(a - b).mean()))
-    mean = float(np.mean(squares))
-    return min(99.0, float(10 * np.log10(255**2 / mean))) if mean > 0 else 99.0

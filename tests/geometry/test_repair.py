@@ -136,3 +136,5 @@ def test_every_figure_of_the_table_is_held():
         told = worsened(before, dataclasses.replace(before, **{name: value}), 4)
         assert len(told) == 1 and told[0].startswith(name)
     assert worsened(before, dataclasses.replace(before, min_gutter_texels=5.0), 4) == []
+    missing = dataclasses.replace(before, missing_faces=3)
+    assert worsened(missing, dataclasses.replace(before, density_cv=9.0), 4) == []

@@ -123,6 +123,13 @@ def test_ktx2_without_a_tool_is_told(monkeypatch):
     assert "PNG is written" in " ".join(context.warnings)
 
 
+def test_it_tells_what_the_bake_is_worth():
+    _, context = run(two_levels(), size=128, compare=True)
+    recorded = {m.name: m.value for m in context.measurements}
+    assert 10 < recorded["lod1.psnr_shared"] < 60
+    assert 10 < recorded["lod1.psnr_baked"] < 60
+
+
 def test_meshes_that_are_kept_keep_their_textures(tmp_path):
     baked, context = run(two_levels(reason="morph targets"), size=64)
     assert "keeps its textures: morph targets" in " ".join(context.warnings)

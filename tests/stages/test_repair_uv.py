@@ -192,3 +192,31 @@ def test_the_same_bytes_twice_and_the_input_unchanged():
     first, second = (run(asset, one_to_one=True)[0].fingerprint() for _ in range(2))
     assert first == second
     assert asset.fingerprint() == before
+
+
+def test_materials_go_into_one_atlas_where_that_is_asked_for(tmp_path):
+    """Two sheets of two colours and images of two sizes, on the same UVs: one material, one image, the same look."""
+    first = asset_of(sheets(LEFT, LEFT, missing=()))
+    (mesh,) = first.meshes
+    half = len(mesh.faces) // 2
+    primitives = (Primitive(0, ("TEXCOORD_0",)), Primitive(1, ("TEXCOORD_0",)))
+    owner = np.repeat([0, 1], half).astype(np.int32)
+    mesh = dataclasses.replace(mesh, face_primitive=owner, primitives=primitives)
+    second = noise(1)[::2, ::2]
+    image = Image(encode_png(second), "image/png", "other", "other.png", SIZE // 2, SIZE // 2)
+    factor = {"baseColorTexture": {"index": 1}, "baseColorFactor": [1.0, 0.5, 0.25, 1.0]}
+    asset = dataclasses.replace(
+        first,
+        meshes=(mesh,),
+        lods=(Lod((mesh,)),),
+        materials=(*first.materials, Material({"name": "other", "pbrMetallicRoughness": factor})),
+        images=(*first.images, image),
+        document={"textures": [{"source": 0, "sampler": 0}, {"source": 1, "sampler": 0}], "samplers": [{}]},
+    )
+    result, context = run(asset, one_to_one=True, merge_materials=True)
+    assert context.warnings == []
+    assert len(result.materials) == len(result.images) == 1
+    assert uv_defects(result.meshes[0], texture_sizes(result))[0].overlap_percent == 0
+    assert next(m.value for m in context.measurements if m.name == "psnr") > 40
+    export(result, ExportParams(), Context(output=tmp_path))
+    assert len(io.load(tmp_path / "LOD0" / "sheets_LOD0.glb").materials) == 1
