@@ -252,7 +252,7 @@ class _Job:
         if self.options.same_surface and not self.merged:
             return list(paths)
         wants = self.options.wants
-        coloured = any("COLOR_0" in self.meshes[number].attributes for number, _ in self.group.parts)
+        coloured = any("COLOR_0" in self.sources[number].mesh.attributes for number, _ in self.group.parts)
         if wants(BASE_COLOR) and (self.merged or coloured):
             paths[BASE_COLOR] = None
         if self.merged and wants(METALLIC_ROUGHNESS) and self._differ("metallicFactor", "roughnessFactor"):

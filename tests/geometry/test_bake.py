@@ -228,6 +228,16 @@ def test_vertex_colours_go_into_the_texture():
     assert np.abs(colour[:, :3] - [1, 0.5, 0.25]).max() < 0.01
 
 
+def test_vertex_colours_of_the_source_go_to_levels_that_have_none():
+    cube = textured_cube()
+    colours = np.repeat(np.float32([[1, 0.5, 0.25, 1]]), 36, axis=0)
+    mesh = with_material(dataclasses.replace(cube, attributes={"COLOR_0": colours}))
+    level = with_material(Mesh(cube.positions, cube.faces))
+    baked = bake(asset_of(mesh, {}), level, side=64)
+    colour = looked_up(baked.meshes[0], baked.materials[0].maps[BASE_COLOR], *places(50))
+    assert np.abs(colour[:, :3] - [1, 0.5, 0.25]).max() < 0.01
+
+
 def test_what_is_transparent_does_not_tint_what_is_not():
     """Leaves of green on black that cannot be seen: neither an average of texels nor a mip level shows the black."""
     cube = with_material(textured_cube())
