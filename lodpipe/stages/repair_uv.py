@@ -19,6 +19,8 @@ from lodpipe.geometry.uv_defects import texture_sizes, uv_defects, uv_figures
 from lodpipe.stage import Context, Params, stage
 from lodpipe.stages._textures import Encoding, Format, decoded, finished, likeness
 
+FAULTS = ("overlap_percent", "out_of_range_percent", "zero_area_faces", "missing_faces")
+"""Figures of which a repair that makes them worse is not taken; of the others it is told."""
 ROUNDS = 3
 """How often a layout is made anew with more faces to unfold."""
 
@@ -76,11 +78,13 @@ def repair_uv(asset: Asset, params: RepairUvParams, context: Context) -> Asset:
     while plans:
         repaired = _repaired(asset, plans, options, params, context)
         worse = _worse(asset, repaired, plans, params, context)
-        if not worse:
-            break
+        refused = {number for number, told in worse.items() if any(name in told for name in FAULTS)}
         for number, told in worse.items():
-            context.warn(f"mesh '{asset.meshes[number].name}' keeps its UVs: a repair would make worse {told}")
-        plans = [p for p in plans if not any(number in worse for number, _ in p.group.parts)]
+            what = "keeps its UVs: a repair would make worse" if number in refused else "is worse after the repair:"
+            context.warn(f"mesh '{asset.meshes[number].name}' {what} {told}")
+        if not refused:
+            break
+        plans = [p for p in plans if not any(number in refused for number, _ in p.group.parts)]
     else:
         return asset
     psnr = likeness(asset, [repaired], context)[0]
