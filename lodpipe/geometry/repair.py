@@ -147,9 +147,9 @@ def new_layout(
     return (*_packed(np.concatenate(uv), numbers.astype(np.int32), options, padding), problem)
 
 
-#: Figures of a layout, and by what factor and how much each may be worse after a repair; `charts`,
-#: `sliver_charts` and `seam_length` are not among them: what lies on itself has to be cut; nor are mirrored charts, whose
-#: share grows where they lay on others.
+#: Figures of a layout, and by what factor and how much each may be worse after a repair. `charts`, `sliver_charts` and
+#: `seam_length` are not among them: what lies on itself has to be cut. Nor are mirrored charts, whose share grows where
+#: they lay on others.
 HELD = {
     "overlap_percent": (1.0, 1e-3),
     "out_of_range_percent": (1.0, 1e-3),
