@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from lodpipe.core.mesh import F64, I32
 from lodpipe.geometry.camera import views
+from lodpipe.geometry.carve import Goal, carved, polished
 from lodpipe.geometry.topology import components
 from lodpipe.kernel import Level
+from lodpipe.kernel.surfaces import Silhouettes
 
 FULL, NONE = 20.0, 60.0
 """Triangles for each branch (and main body) up to which the skeleton counts fully, and from which not at all."""
@@ -25,11 +27,14 @@ MOST_SHARE = 0.1
 """Levels with this share of the source's triangles or more are left plain."""
 NEAR = 0.03
 """A branch survives if a vertex is within this share of the diagonal of its terminal vertex."""
-GAIN, LOSS = 0.006, 0.005
+GAIN, LOSS = 0.006, 0.003
 """What a way must win in silhouette overlap before surviving branches are compared, and what it may lose if half of
 all branches survive by it."""
-VIEWS, SIZE = 20, 72
-SAMPLES, ROUNDS = 3000, 6
+VIEWS, SIZE, FINE, MARGIN = 20, 64, 3, 1.1
+CARVED, MOST_CARVED, WORTHS = 60, 120, (1.0, 0.01)
+"""Levels of so many triangles or fewer are also searched for, up to MOST_CARVED if branches would be lost otherwise; a
+branch that survives counts as so much overlap in the two searches."""
+SAMPLES, ROUNDS = 1500, 4
 LOOSE = 0.5
 """A held vertex may be moved by this share of NEAR."""
 
@@ -60,7 +65,9 @@ class Guide:
     strength: float | None
 
 
-def extreme_levels(positions: F64, faces: I32, plain: Sequence[Level], guide: Guide, run: Run) -> dict[int, Level]:
+def extreme_levels(
+    positions: F64, faces: I32, plain: Sequence[Level], guide: Guide, run: Run, threads: int = 0
+) -> dict[int, Level]:
     """The levels of `plain` that are better made another way, by target.
 
     `run` decimates the surface with factors (V,) for the quadrics, locks (V,) and targets in descending order.
@@ -78,29 +85,45 @@ def extreme_levels(positions: F64, faces: I32, plain: Sequence[Level], guide: Gu
     targets = sorted(chosen, reverse=True)
     weakest = min(strength for _, strength in chosen.values())
     ways: dict[int, list[Level]] = {target: [level] for target, (level, _) in chosen.items()}
+    seeds = {t: 2 * (t + len(tips)) + 8 for t in targets if t <= MOST_CARVED}
+    wanted = sorted({*targets, *seeds.values()}, reverse=True)
     factors = guide.extreme ** max(weakest, 0.25)
     even = np.ones(len(positions))
-    counts = dict.fromkeys([0, len(tips), (len(tips) + 1) // 2, min(3, len(tips))])
-    for weights, count in [*((factors, count) for count in counts), (even, len(tips))]:
-        room = [t for t in targets if count <= t / 4 + 2]  # half of a closed mesh's vertices
-        if room:
-            locks = np.zeros(len(positions), bool)
-            locks[tips[:count]] = True
-            for level in run(weights, locks if count else None, room):
-                ways[level.target].append(level)
-    judge = _Judge(positions, faces, tips)
+    made: dict[int, list[Level]] = {count: [] for count in wanted}
+    for weights, count in ((factors, len(tips)), (even, len(tips)), (factors, 0)):
+        locks = np.zeros(len(positions), bool)
+        locks[tips[:count]] = True
+        for level in run(weights, locks if count else None, [t for t in wanted if count <= t / 4 + 2]):
+            made[level.target].append(level)
+    for target in targets:
+        ways[target] += made[target]
+    judge = _Judge(positions, faces, tips, threads)
     better = {}
     for target in targets:
-        best = judge.best([way for way in ways[target] if len(way.faces)], target)
+        seed = made[seeds[target]] if target in seeds else []
+        best = judge.best([way for way in ways[target] if len(way.faces)], seed, target)
         if best is not chosen[target][0]:
             better[target] = best
     return better
 
 
+@dataclass(frozen=True, eq=False)
+class _Try:
+    level: Level
+    points: F64
+    """(V, 3) the level's positions as the judge has them."""
+    overlap: float
+    survivors: int
+
+
+def _rank(entry: _Try) -> tuple[int, float]:
+    return entry.survivors, entry.overlap
+
+
 class _Judge:
     """The source's silhouettes and samples, in a ball of radius 1 about its middle."""
 
-    def __init__(self, positions: F64, faces: I32, tips: NDArray[np.int64]) -> None:
+    def __init__(self, positions: F64, faces: I32, tips: NDArray[np.int64], threads: int) -> None:
         from lodpipe.o3d import RayScene
 
         used = np.unique(faces)
@@ -114,59 +137,58 @@ class _Judge:
         directions = views(VIEWS) @ np.linalg.qr(np.array([[1, 2, 3], [4, 5, 7], [8, 1, 2.0]]))[0]
         right = np.cross(directions, np.eye(3)[np.abs(directions).argmin(axis=1)])
         right /= np.linalg.norm(right, axis=1, keepdims=True)
-        up = np.cross(directions, right)
-        grid = ((np.arange(SIZE) + 0.5) / SIZE * 2 - 1) * 1.1
-        across = grid[None, None, :, None] * right[:, None, None] + grid[None, :, None, None] * up[:, None, None]
-        self.origins = (across + 3 * directions[:, None, None]).reshape(-1, 3).astype(np.float32)
-        self.along = np.repeat(-directions, SIZE * SIZE, axis=0).astype(np.float32)
-        self.seen = self._silhouettes(points, faces)
+        axes = np.stack([right, np.cross(directions, right)], axis=1) / MARGIN
+        self.goal = Goal(Silhouettes(points, faces, axes, SIZE, threads), self.tips, 2 * NEAR)
+        self.fine = Silhouettes(points, faces, axes, FINE * SIZE, threads)
         self.pieces = _pieces(faces)
 
     def placed(self, positions: F64) -> F64:
         return np.asarray((positions - self.centre) / self.scale)
 
-    def _silhouettes(self, points: F64, faces: I32) -> Bool:
-        from lodpipe.o3d import RayScene
-
-        scene = RayScene(points.astype(np.float32), faces)
-        return np.asarray(scene.cast(self.origins, self.along).faces.reshape(VIEWS, -1) >= 0)
-
     def overlap(self, points: F64, faces: I32) -> float:
         """Mean intersection over union of the silhouettes."""
-        seen = self._silhouettes(points, faces)
-        both, either = (seen & self.seen).sum(axis=1), (seen | self.seen).sum(axis=1)
-        return float((both / np.maximum(either, 1)).mean())
+        return self.fine.overlap(points, faces)
 
-    def survivors(self, points: F64) -> int:
-        """Branches that have a vertex near their terminal vertex; NEAR is of the diagonal, which is 2 here."""
-        away = np.linalg.norm(self.tips[:, None] - points[None], axis=2).min(axis=1, initial=np.inf)
-        return int((away <= 2 * NEAR).sum())
+    def best(self, ways: Sequence[Level], seeds: Sequence[Level], target: int) -> Level:
+        """The best of the ways, of what fitting makes of them, and of what a search makes of the larger `seeds`.
 
-    def best(self, ways: Sequence[Level], target: int) -> Level:
-        """The best of the ways and of what fitting makes of them; the first one is what others must beat."""
+        The first way is what others must beat.
+        """
         first = self.placed(ways[0].positions)
-        base = self.overlap(first, ways[0].faces)
-        found = [(base, self.survivors(first), ways[0])]
+        plain = _Try(ways[0], first, self.overlap(first, ways[0].faces), self.goal.survivors(first))
+        found = [plain]
         most = max(target, len(ways[0].faces))
         for way in ways:
             if len(way.faces) > most or (way is not ways[0] and _pieces(way.faces) > self.pieces):
                 continue  # a tip that has lost its limb is no limb
             points = self.placed(way.positions)
             fitted = self._fitted(points, way.faces)
-            tries = [fitted, (points + fitted) / 2] if way is ways[0] else [points, fitted, (points + fitted) / 2]
-            for moved in tries:
-                level = way if moved is points else self._moved(way, moved)
-                found.append((self.overlap(moved, way.faces), self.survivors(moved), level))
+            for moved in [fitted, (points + fitted) / 2] if way is ways[0] else [points, fitted, (points + fitted) / 2]:
+                found.append(self._judged(way, moved))
+        kept = max(entry.survivors for entry in found if entry.overlap >= plain.overlap)
+        for seed in seeds[:1] if target <= CARVED or kept < len(self.tips) else []:
+            for worth in WORTHS:
+                level, points = carved(seed, self.placed(seed.positions), self.goal, target, worth)
+                if len(level.faces) <= most:
+                    found.append(self._judged(level, points))
+        for entry in {
+            id(e): e for e in (self._chosen(found), max(found, key=lambda e: e.overlap), max(found, key=_rank))
+        }.values():
+            moved = polished(entry.points, entry.level.faces, self.goal, WORTHS[0])
+            found.append(self._judged(entry.level, moved))
+        chosen = self._chosen(found)
+        return ways[0] if chosen is plain else self._moved(chosen.level, chosen.points)
 
-        def rank(entry: tuple[float, int, Level]) -> tuple[int, float]:
-            return entry[1], entry[0]
+    def _judged(self, level: Level, points: F64) -> _Try:
+        return _Try(level, points, self.overlap(points, level.faces), self.goal.survivors(points))
 
-        good = [f for f in found if f[0] >= base + GAIN]
-        if not good:
-            good = [f for f in found if f[0] >= base and f[1] >= found[0][1]]
-        chosen = max(good, key=rank)
-        even = max((f for f in found if f[0] >= base - LOSS), key=rank)
-        return (even if even[1] >= chosen[1] + max(1, (len(self.tips) + 1) // 2) else chosen)[2]
+    def _chosen(self, found: Sequence[_Try]) -> _Try:
+        plain = found[0]
+        good = [e for e in found if e.overlap >= plain.overlap + GAIN]
+        good = good or [e for e in found if e.overlap >= plain.overlap and e.survivors >= plain.survivors]
+        chosen = max(good, key=_rank)
+        even = max((e for e in found if e.overlap >= plain.overlap - LOSS), key=_rank)
+        return even if even.survivors >= chosen.survivors + max(1, (len(self.tips) + 1) // 2) else chosen
 
     def _moved(self, level: Level, points: F64) -> Level:
         return replace(

@@ -11,6 +11,7 @@
 #include "fit.h"
 #include "normals.h"
 #include "raster.h"
+#include "silhouette.h"
 #include "similarity/similarity.h"
 #include "tables.h"
 #include "triangle_tree.h"
@@ -438,6 +439,39 @@ auto as_int(Enum Options::*field) {
                    [field](Options& o, int value) { o.*field = static_cast<Enum>(value); });
 }
 
+lodpipe::SilhouetteViews silhouette_views(const Table<double>& axes, int size) {
+  return {axes.data(), static_cast<int>(axes.shape(0)), size};
+}
+
+nb::object silhouettes(Table<double> points, Table<int32_t> faces, Table<double> axes, int size) {
+  std::vector<uint64_t> bits;
+  {
+    nb::gil_scoped_release release;
+    bits = lodpipe::silhouettes(points.data(), faces.data(), static_cast<int>(faces.shape(0)), silhouette_views(axes, size));
+  }
+  return give(bits, 0);
+}
+
+double silhouette_overlap(Table<double> points, Table<int32_t> faces, Table<double> axes, int size,
+                          Column<uint64_t> wanted) {
+  nb::gil_scoped_release release;
+  return lodpipe::silhouette_overlap(points.data(), faces.data(), static_cast<int>(faces.shape(0)),
+                                     silhouette_views(axes, size), wanted.data());
+}
+
+nb::object silhouette_moves(Table<double> points, Table<int32_t> faces, Column<int32_t> vertex, Table<double> places,
+                            Table<double> axes, int size, Column<uint64_t> wanted, int threads) {
+  std::vector<double> overlaps;
+  {
+    nb::gil_scoped_release release;
+    overlaps = lodpipe::silhouette_moves(points.data(), static_cast<int>(points.shape(0)), faces.data(),
+                                         static_cast<int>(faces.shape(0)), vertex.data(), places.data(),
+                                         static_cast<int>(vertex.shape(0)), silhouette_views(axes, size),
+                                         wanted.data(), threads);
+  }
+  return give(overlaps, 0);
+}
+
 }  // namespace
 
 NB_MODULE(_native, m) {
@@ -473,6 +507,11 @@ NB_MODULE(_native, m) {
   m.def("text_corners", &text_corners, "text"_a, "at"_a.noconvert(), "end"_a.noconvert(), "begin"_a.noconvert(),
         "corners"_a, "threads"_a);
   m.def("unique_rows", &unique_rows, "rows"_a.noconvert());
+  m.def("silhouettes", &silhouettes, "points"_a.noconvert(), "faces"_a.noconvert(), "axes"_a.noconvert(), "size"_a);
+  m.def("silhouette_overlap", &silhouette_overlap, "points"_a.noconvert(), "faces"_a.noconvert(),
+        "axes"_a.noconvert(), "size"_a, "wanted"_a.noconvert());
+  m.def("silhouette_moves", &silhouette_moves, "points"_a.noconvert(), "faces"_a.noconvert(), "vertex"_a.noconvert(),
+        "places"_a.noconvert(), "axes"_a.noconvert(), "size"_a, "wanted"_a.noconvert(), "threads"_a);
   using lodpipe::TriangleTree;
   nb::class_<TriangleTree>(m, "TriangleTree")
       .def("__init__",
