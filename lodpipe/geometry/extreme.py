@@ -27,13 +27,12 @@ MOST_SHARE = 0.1
 """Levels with this share of the source's triangles or more are left plain."""
 NEAR = 0.03
 """A branch survives if a vertex is within this share of the diagonal of its terminal vertex."""
-GAIN, LOSS = 0.006, 0.003
+GAIN, LOSS = 0.006, 0.015
 """What a way must win in silhouette overlap before surviving branches are compared, and what it may lose if half of
 all branches survive by it."""
 VIEWS, SIZE, FINE, MARGIN = 20, 64, 3, 1.1
-CARVED, MOST_CARVED, WORTHS = 60, 120, (1.0, 0.01)
-"""Levels of so many triangles or fewer are also searched for, up to MOST_CARVED if branches would be lost otherwise; a
-branch that survives counts as so much overlap in the two searches."""
+CARVED, WORTHS = 60, (1.0, 0.01)
+"""Levels of so many triangles or fewer are searched for, too, twice: what a branch that survives counts in overlap."""
 SAMPLES, ROUNDS = 1500, 4
 LOOSE = 0.5
 """A held vertex may be moved by this share of NEAR."""
@@ -85,7 +84,7 @@ def extreme_levels(
     targets = sorted(chosen, reverse=True)
     weakest = min(strength for _, strength in chosen.values())
     ways: dict[int, list[Level]] = {target: [level] for target, (level, _) in chosen.items()}
-    seeds = {t: 2 * (t + len(tips)) + 8 for t in targets if t <= MOST_CARVED}
+    seeds = {t: 2 * (t + len(tips)) + 8 for t in targets if t <= CARVED}
     wanted = sorted({*targets, *seeds.values()}, reverse=True)
     factors = guide.extreme ** max(weakest, 0.25)
     even = np.ones(len(positions))
@@ -165,8 +164,7 @@ class _Judge:
             fitted = self._fitted(points, way.faces)
             for moved in [fitted, (points + fitted) / 2] if way is ways[0] else [points, fitted, (points + fitted) / 2]:
                 found.append(self._judged(way, moved))
-        kept = max(entry.survivors for entry in found if entry.overlap >= plain.overlap)
-        for seed in seeds[:1] if target <= CARVED or kept < len(self.tips) else []:
+        for seed in seeds[:1]:
             for worth in WORTHS:
                 level, points = carved(seed, self.placed(seed.positions), self.goal, target, worth)
                 if len(level.faces) <= most:

@@ -7,7 +7,7 @@ reservation triangles [D], volumetric points [E]. All view-independent: directio
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -84,6 +84,29 @@ def importance(asset: Asset, options: ImportanceOptions | None = None) -> Import
     fading = [_filled(mesh, part) for mesh, part in zip(asset.meshes, np.split(extreme, splits), strict=True)]
     pinned, shares = _of_parts(asset, of_mesh, options.parts)
     return Importance(tuple(of_mesh), tuple(fading), reserved, owner, options.strength, pinned, shares)
+
+
+ATTRIBUTE = "_IMPORTANCE"
+
+
+def with_attribute(asset: Asset) -> Asset:
+    """The asset whose meshes carry what `importance` says of them as the attribute `_IMPORTANCE`, one float a wedge:
+    weight × extreme, what multiplies a vertex's quadric where few triangles are left. Levels made of it carry it on."""
+    if asset.importance is None:
+        return asset
+    meshes = []
+    for mesh, weight, extreme in zip(asset.meshes, asset.importance.weight, asset.importance.extreme, strict=True):
+        if mesh.keep_reason or not len(mesh.faces):
+            meshes.append(mesh)
+            continue
+        wedges = mesh.wedges if mesh.attributes else mesh.faces
+        rows = max((len(v) for v in mesh.attributes.values()), default=len(mesh.positions))
+        values = np.ones((rows, 1), np.float32)
+        values[wedges.ravel(), 0] = (weight * extreme)[mesh.faces.ravel()]
+        own = tuple(replace(p, attributes=(*dict.fromkeys([*p.attributes, ATTRIBUTE]),)) for p in mesh.primitives)
+        attributes = {**mesh.attributes, ATTRIBUTE: values}
+        meshes.append(replace(mesh, wedges=wedges, attributes=attributes, primitives=own))
+    return replace(asset, meshes=tuple(meshes))
 
 
 def _of_parts(

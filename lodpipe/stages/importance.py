@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from lodpipe.core.asset import Asset
-from lodpipe.geometry.importance import ImportanceOptions
+from lodpipe.geometry.importance import ImportanceOptions, with_attribute
 from lodpipe.geometry.importance import importance as importance_of
 from lodpipe.geometry.parts import PartRule
 from lodpipe.stage import Context, Params, stage
@@ -41,6 +41,8 @@ class ImportanceParams(Params):
     """Attribute with painted weights: a colour (red protects, blue reduces, grey is neutral), or a number."""
     parts: dict[str, PartParams] = Field(default_factory=dict)
     """What is asked of parts: segments (`main`, `branch2`), kinds (`branch`), node types (`end`), nodes, materials."""
+    attribute: bool = False
+    """Write it out: every level carries the vertex attribute `_IMPORTANCE`, a number from 0.01 up; 1 is neutral."""
     cameras: tuple[Direction, ...] = ()
     """Directions from which the model will be seen; none: from all round."""
 
@@ -48,7 +50,7 @@ class ImportanceParams(Params):
 @stage("importance")
 def importance(asset: Asset, params: ImportanceParams, context: Context) -> Asset:
     """Weigh the source's vertices by skeleton, visibility, saliency and painted weights, for `decimate`."""
-    values = params.model_dump(exclude={"parts"})
+    values = params.model_dump(exclude={"parts", "attribute"})
     values["strength"] = None if params.strength == "auto" else params.strength
     if asset.skeleton is None or asset.segments is None:
         context.warn("importance without a skeleton: put `skeleton` and `segment` before it to keep branches")
@@ -59,4 +61,5 @@ def importance(asset: Asset, params: ImportanceParams, context: Context) -> Asse
     high = max((float(w.max()) for w in found.weight if len(w)), default=1.0)
     context.record("weight.least", low)
     context.record("weight.most", high)
-    return replace(asset, importance=found)
+    asset = replace(asset, importance=found)
+    return with_attribute(asset) if params.attribute else asset
