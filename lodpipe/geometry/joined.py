@@ -335,7 +335,7 @@ class Joined:
         for name, width in zip(self.names, self.widths, strict=True):
             if name in source.attributes:
                 table = level.values[rows, start : start + source.attributes[name].shape[1]]
-                attributes[name] = _valid(name, table, changed)
+                attributes[name] = _valid(name, table, changed, source.attributes[name])
             start += width
         attributes = {name: attributes[name] if name in attributes else rig[name] for name in source.attributes}
         return Mesh(
@@ -503,8 +503,9 @@ def _join(tables: list[Any], columns: int, dtype: Any) -> Any:
     return np.ascontiguousarray(np.concatenate(tables), dtype)
 
 
-def _valid(name: str, values: F32, changed: Any) -> F32:
-    """New values as the attribute must be: unit normals and tangents, colours within 0…1."""
+def _valid(name: str, values: F32, changed: Any, source: F32) -> F32:
+    """New values as the attribute must be: unit normals and tangents, colours within 0…1, a user's own (`_NAME`) within the
+    range that they had: new values are extrapolated where a vertex moves off the surface."""
     out = values.copy()
     if name in ("NORMAL", "TANGENT"):
         axes = out[changed, :3]
@@ -514,4 +515,6 @@ def _valid(name: str, values: F32, changed: Any) -> F32:
             out[changed, 3] = np.where(out[changed, 3] < 0, -1, 1)
     elif name.startswith("COLOR_"):
         out[changed] = np.clip(out[changed], 0, 1)
+    elif name.startswith("_") and len(source):
+        out[changed] = np.clip(out[changed], source.min(axis=0), source.max(axis=0))
     return out
