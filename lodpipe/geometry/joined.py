@@ -504,8 +504,8 @@ def _join(tables: list[Any], columns: int, dtype: Any) -> Any:
 
 
 def _valid(name: str, values: F32, changed: Any, source: F32) -> F32:
-    """New values as the attribute must be: unit normals and tangents, colours within 0…1, a user's own (`_NAME`) within the
-    range that they had: new values are extrapolated where a vertex moves off the surface."""
+    """New values as the attribute must be: unit normals and tangents, colours within 0…1, a user's own (`_NAME`) within
+    the range that they had: new values are extrapolated where a vertex moves off the surface."""
     out = values.copy()
     if name in ("NORMAL", "TANGENT"):
         axes = out[changed, :3]
