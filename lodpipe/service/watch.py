@@ -39,7 +39,8 @@ IDLE_SECONDS = 1.0
 SHORTEST_SECONDS, BUSY_SHARE = 0.05, 0.2
 """Between two looks, however many events come; and the share of the time that looking at a large folder may take."""
 CONFIG_SECONDS = 2.0
-DISK_SECONDS = 2.0
+DISK_SECONDS, TOLD_SECONDS = 1.0, 60.0
+"""After a look that a full disk has spoilt: until the next, and until the log is told again."""
 MISHAPS = 10
 """How many bugs in a row, without one look at the folder that goes well, are too many."""
 STOP_SECONDS = 10.0
@@ -192,6 +193,7 @@ class _Process:
         self.log.info("watching %s%s", places, f", status on {self.server.address}" if self.server else "")
         notify("READY=1", f"STATUS=watching {places}")
         every, last_ping, mishaps = watchdog_seconds(), 0.0, 0
+        told, told_at = "", 0.0
         while True:
             now = self.clock.monotonic()
             self.daemon.polls(not self.watcher.check())
@@ -201,15 +203,20 @@ class _Process:
                 return 0
             try:
                 due = self.daemon.tick()
-                mishaps = 0
+                mishaps, told = 0, ""
             except Exception as error:  # a full disk, or a bug: the assets and the table are what they were
                 mishaps += 1
                 expected = isinstance(error, sqlite3.OperationalError | OSError | LodpipeError)
                 if not expected and mishaps > MISHAPS:
                     raise
-                self.log.error("%s: %s; going on", type(error).__name__, error, exc_info=None if expected else error)
-                due = now + DISK_SECONDS
+                if not expected or str(error) != told or now >= told_at + TOLD_SECONDS:
+                    told, told_at = str(error), now
+                    self.log.error(
+                        "%s: %s; going on", type(error).__name__, error, exc_info=None if expected else error
+                    )
                 self._recover()
+                due = now
+                time.sleep(DISK_SECONDS)  # whatever wakes it: there is nothing that it could do at once
             self.hooks.look()
             self._tell_problems()
             self._update_index()
@@ -242,8 +249,8 @@ class _Process:
     def _recover(self) -> None:
         try:
             self.daemon.recover()
-        except (sqlite3.OperationalError, OSError, LodpipeError) as error:
-            self.log.error("%s; going on", error)
+        except (sqlite3.OperationalError, OSError, LodpipeError):  # the next look meets the same, and tells
+            return
 
     def _verdict(self) -> int:
         if self.daemon.problem:
@@ -312,7 +319,8 @@ class _Process:
         if self.server:
             self.server.close()
         self.waker.close()
-        self.table.set_facts(pid=0, address="")
+        with contextlib.suppress(sqlite3.Error):  # a full disk
+            self.table.set_facts(pid=0, address="")
         self.log.info("stopped")
 
 
