@@ -184,10 +184,11 @@ class _Pass:
         threads: int,
     ) -> _Pass:
         """`content` is given for the metric `visual` alone; `way` multiplies its prices."""
-        seam_scale = held = None
+        seam_scale, held = joined.real_seams(), None
         if content is not None:
             seams = content.seams(way.seam) / max(options.seam_weight, 1e-6)
-            seam_scale = joined.from_soup(asset, content.soup, seams)
+            priced = joined.from_soup(asset, content.soup, seams)
+            seam_scale = priced if seam_scale is None else priced * seam_scale
             held = joined.at_vertices(joined.from_soup(asset, content.soup, way.seam * content.held))
             if not options.attribute_cost:
                 plain = AttributeWeights()

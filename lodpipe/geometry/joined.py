@@ -92,6 +92,7 @@ class Joined:
     positions: F64
     faces: I32
     wedges: I32
+    primitive: I32  # (F,) distinct over all meshes
     importance: F32 | None
     names: list[str]  # of the attributes
     widths: list[int]
@@ -111,8 +112,8 @@ class Joined:
         meshes = {i: _with_motion(asset, i, matrix) for i, matrix in zip(used, matrices, strict=True)}
         names = list(dict.fromkeys(name for mesh in meshes.values() for name in mesh.attributes))
         widths = [max(_width(mesh, name) for mesh in meshes.values()) for name in names]
-        positions, faces, wedges, values, importance = [], [], [], [], []
-        vertices = corners = 0
+        positions, faces, wedges, values, importance, primitive = [], [], [], [], [], []
+        vertices = corners = primitives = 0
         vertex_start, wedge_start, face_start = [0], [0], [0]
         for i, matrix in zip(used, matrices, strict=True):
             mesh = meshes[i]
@@ -123,6 +124,8 @@ class Joined:
             values.append(_attribute_table(mesh, names, widths, rows))
             placed = np.full(len(mesh.positions), max(len(places.get(i, [])), 1), np.float32)
             importance.append(placed * asset.importance.weight[i] if asset.importance else placed)
+            primitive.append(mesh.face_primitive + np.int32(primitives))
+            primitives += len(mesh.primitives)
             vertices += len(mesh.positions)
             corners += rows
             vertex_start.append(vertices)
@@ -135,6 +138,7 @@ class Joined:
             _join(positions, 3, np.float64),
             _join(faces, 3, np.int32),
             _join(wedges, 3, np.int32),
+            np.concatenate([np.empty(0, np.int32), *primitive]),
             weight if weight.size and (weight != 1).any() else None,
             names,
             widths,
@@ -185,6 +189,37 @@ class Joined:
                 worth = weights.uv * float(np.sqrt(areas[has].sum() / flat[has].sum())) if has.any() else 0.0
             out += [worth] * width
         return self.values, out
+
+    def real_seams(self) -> F32 | None:
+        """(F, 3) float32: 0 for the edge k → k + 1 between two facets that differ in nothing but their directions, else
+        1; None: 1 throughout.
+
+        A facet is a triangle with the same normal at its corners. Where two meet, the shape has an edge, which its
+        planes hold; on a flat-shaded mesh all edges are such, and as seams they would hold every vertex where it is.
+        """
+        turned = ("NORMAL", "TANGENT", MOTION)
+        if "NORMAL" not in self.names or len(self.values) <= len(self.positions):
+            return None
+        at = sum(self.widths[: self.names.index("NORMAL")])
+        normals = self.values[:, at : at + 3][self.wedges]
+        facet = (np.abs(normals[:, 1:] - normals[:, :1]) < 0.01).all(axis=(1, 2))
+        if not facet.any():
+            return None
+        place, owner = (np.zeros(len(self.values), np.int32) for _ in range(2))
+        place[self.wedges] = self.faces
+        owner[self.wedges] = self.primitive[:, None]
+        keep = np.repeat([name not in turned for name in self.names], self.widths)
+        bits = np.ascontiguousarray(self.values[:, keep] + np.float32(0)).view(np.uint32)
+        first, row = unique_rows(np.concatenate([np.stack([place, owner], axis=1).view(np.uint32), bits], axis=1))
+        if len(first) == len(row):
+            return None
+        ends = row[self.wedges].astype(np.int64)
+        after = np.roll(ends, -1, axis=1)
+        pair = np.minimum(ends, after) * len(first) + np.maximum(ends, after)
+        _, edge, count = np.unique(pair.ravel(), return_inverse=True, return_counts=True)
+        smooth = np.bincount(edge, np.repeat(~facet, 3))  # faces round an edge that are no facets
+        held: F32 = ((count == 1) | (smooth > 0))[edge].reshape(pair.shape).astype(np.float32)
+        return held if not held.all() else None
 
     def from_soup(self, asset: Asset, soup: Soup, rows: F32) -> F32:
         """Rows for the joined faces, from rows for the soup's: of the first placement of each mesh; 0 for none."""

@@ -319,6 +319,30 @@ def test_what_uvs_are_worth_depends_on_textured_meshes_alone():
     assert straight(bare) == []
 
 
+def flat_shaded(positions, faces):
+    corners = positions[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    rows = np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
+    return Mesh(positions, faces, wedges=rows, attributes={"NORMAL": np.repeat(normals, 3, axis=0).astype(np.float32)})
+
+
+def test_edges_between_facets_are_no_seams():
+    """A flat-shaded ball is simplified like one without normals; where a smooth side meets a lid is a seam."""
+    ball = sphere(4)
+    bare, flat = (decimate(mesh, 300) for mesh in (Mesh(*ball), flat_shaded(*ball)))
+    assert np.array_equal(bare.positions, flat.positions) and flat.wedge_count > 2 * bare.wedge_count
+    assert Joined.of(asset(Mesh(*ball))).real_seams() is None
+
+    mesh = flat_shaded(*box())
+    inward = -mesh.positions[mesh.faces[:2]].reshape(-1, 3).astype(np.float32)
+    lid = dataclasses.replace(mesh, attributes={"NORMAL": np.vstack([inward, mesh.attributes["NORMAL"][6:]])})
+    held = Joined.of(asset(lid)).real_seams()
+    assert held[:2].all(), "its two triangles are no facets"
+    assert held.sum() == 6 + 4, "and the four that meet them hold the edge, too"
+    assert not Joined.of(asset(mesh)).real_seams().any()
+
+
 def test_levels_have_the_same_bytes_twice_and_with_threads():
     source = asset(uv_sphere(24, 48, materials=2).mesh(), Mesh(*bumpy(4)))
     made = [
