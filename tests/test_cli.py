@@ -196,7 +196,7 @@ def test_inspect(main):
     assert data["topology"][0]["boundary_edges"] == 16
     assert data["uv"][0]["missing_faces"] == 32
     code, _, err = main("inspect", "none.obj")
-    assert (code, err) == (1, "error: none.obj: no such file\n")
+    assert (code, err) == (1, "error: none.obj: no such file; check the path\n")
 
 
 def test_the_version_is_that_of_the_package(main):

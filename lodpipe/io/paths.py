@@ -86,9 +86,11 @@ class Folder:
                 )
             data = path.read_bytes()
         except FileNotFoundError as error:
-            raise AssetError("no such file") from error
+            raise AssetError("no such file", advice="check the path") from error
         except OSError as error:
-            raise AssetError(f"{path.name} cannot be read ({error.strerror or error})") from error
+            raise AssetError(
+                f"{path.name} cannot be read ({error.strerror or error})", advice="check its permissions"
+            ) from error
         if path not in self.members:
             self.members.append(path)
         return data
