@@ -111,7 +111,19 @@ def scalar(text: str) -> Any:
 
 def dump(data: Any) -> str:
     """Plain data as YAML text that reads back as the same data."""
-    return yaml.safe_dump(data, sort_keys=False, width=110)
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=110)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes what `scalar` would read as something else than text; PyYAML's own rules take 0E0 for a word."""
+
+
+def _text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    style = None if isinstance(scalar(text), str) else "'"
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(str, _text)
 
 
 class _TooMuch(Exception):

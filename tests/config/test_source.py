@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from lodpipe.config.source import MAX_BYTES, MAX_DEPTH, MAX_VALUES, dump, read_file, read_text, scalar
@@ -114,6 +114,7 @@ PLAIN = st.recursive(
 
 
 @given(st.dictionaries(st.from_regex(r"[a-z]{1,5}", fullmatch=True), PLAIN, min_size=1, max_size=4))
+@example({"a": "0E0", "b": "1_0", "c": ["0x1F", "yes", "1e5", "null", "12", ""]})
 def test_dump_reads_back_as_the_same(data):
     assert read_text(dump(data), "x").data == data
 
