@@ -1,7 +1,7 @@
 """Tables of UV repairs and of baked levels: ``python tests/benchmarks/textures.py ASSET… [--judge]``.
 
 The first table has each mesh's repair to a one-to-one layout: the figures of its layout before and after, and how alike
-six pictures are. The second compares levels at 10 % and 2 % that keep the source's textures (the preset `default`) with
+six pictures are. The second compares levels at 10 % and 2 % that keep the source's textures (the stage's defaults) with
 baked ones of the same number of triangles (the preset `baked`): PSNR over all pixels of `--views` pictures with normal
 maps, and the error of the shading normals. The third is the shared harness' judge on the same and on a peer's levels
 with our bake: it knows base colours and the levels' own normals, no normal maps, and counts pixels that are covered.
