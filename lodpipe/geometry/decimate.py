@@ -184,7 +184,7 @@ class _Pass:
         threads: int,
     ) -> _Pass:
         """`content` is given for the metric `visual` alone; `way` multiplies its prices."""
-        seam_scale, held = joined.real_seams(), None
+        seam_scale, held = joined.real_seams, None
         if content is not None:
             seams = content.seams(way.seam) / max(options.seam_weight, 1e-6)
             priced = joined.from_soup(asset, content.soup, seams)

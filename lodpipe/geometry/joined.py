@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -190,6 +191,7 @@ class Joined:
             out += [worth] * width
         return self.values, out
 
+    @cached_property
     def real_seams(self) -> F32 | None:
         """(F, 3) float32: 0 for the edge k → k + 1 between two facets that differ in nothing but their directions, else
         1; None: 1 throughout.
@@ -213,12 +215,12 @@ class Joined:
         first, row = unique_rows(np.concatenate([np.stack([place, owner], axis=1).view(np.uint32), bits], axis=1))
         if len(first) == len(row):
             return None
-        ends = row[self.wedges].astype(np.int64)
-        after = np.roll(ends, -1, axis=1)
-        pair = np.minimum(ends, after) * len(first) + np.maximum(ends, after)
-        _, edge, count = np.unique(pair.ravel(), return_inverse=True, return_counts=True)
+        ends = row[self.wedges]
+        pairs = np.sort(np.stack([ends, np.roll(ends, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        _, edge = unique_rows(pairs.view(np.uint32))
+        count = np.bincount(edge)
         smooth = np.bincount(edge, np.repeat(~facet, 3))  # faces round an edge that are no facets
-        held: F32 = ((count == 1) | (smooth > 0))[edge].reshape(pair.shape).astype(np.float32)
+        held: F32 = ((count == 1) | (smooth > 0))[edge].reshape(ends.shape).astype(np.float32)
         return held if not held.all() else None
 
     def from_soup(self, asset: Asset, soup: Soup, rows: F32) -> F32:

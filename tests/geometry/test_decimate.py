@@ -332,15 +332,15 @@ def test_edges_between_facets_are_no_seams():
     ball = sphere(4)
     bare, flat = (decimate(mesh, 300) for mesh in (Mesh(*ball), flat_shaded(*ball)))
     assert np.array_equal(bare.positions, flat.positions) and flat.wedge_count > 2 * bare.wedge_count
-    assert Joined.of(asset(Mesh(*ball))).real_seams() is None
+    assert Joined.of(asset(Mesh(*ball))).real_seams is None
 
     mesh = flat_shaded(*box())
     inward = -mesh.positions[mesh.faces[:2]].reshape(-1, 3).astype(np.float32)
     lid = dataclasses.replace(mesh, attributes={"NORMAL": np.vstack([inward, mesh.attributes["NORMAL"][6:]])})
-    held = Joined.of(asset(lid)).real_seams()
+    held = Joined.of(asset(lid)).real_seams
     assert held[:2].all(), "its two triangles are no facets"
     assert held.sum() == 6 + 4, "and the four that meet them hold the edge, too"
-    assert not Joined.of(asset(mesh)).real_seams().any()
+    assert not Joined.of(asset(mesh)).real_seams.any()
 
 
 def test_levels_have_the_same_bytes_twice_and_with_threads():

@@ -185,7 +185,10 @@ def test_a_status_that_looks_at_the_lock_does_not_keep_a_daemon_from_starting(tm
     handle = os.open(tmp_path / "daemon.lock", os.O_RDWR | os.O_CREAT)
     fcntl.flock(handle, fcntl.LOCK_SH)
     threading.Timer(0.06, os.close, [handle]).start()
-    os.close(take_lock(tmp_path))
+    held = take_lock(tmp_path)
+    with pytest.raises(OutputError, match="another daemon works on it"):
+        take_lock(tmp_path)
+    os.close(held)
 
 
 def test_a_file_system_without_locks_is_told_apart_from_another_daemon(tmp_path, monkeypatch):

@@ -13,14 +13,15 @@ struct Keyed {
   int32_t id;
 };
 
-// Stable ascending sort by key.
-inline void radix_sort(std::vector<Keyed>& items, std::vector<Keyed>& scratch) {
+// Stable ascending sort by `key`, an unsigned integer.
+template <class Item>
+void radix_sort(std::vector<Item>& items, std::vector<Item>& scratch) {
   scratch.resize(items.size());
-  for (int shift = 0; shift < 33; shift += 11) {
+  for (int shift = 0; shift < static_cast<int>(8 * sizeof(Item::key)); shift += 11) {
     std::array<uint32_t, 2049> start{};
-    for (const Keyed& k : items) ++start[((k.key >> shift) & 2047u) + 1];
+    for (const Item& k : items) ++start[((k.key >> shift) & 2047u) + 1];
     for (int i = 0; i < 2048; ++i) start[i + 1] += start[i];
-    for (const Keyed& k : items) scratch[start[(k.key >> shift) & 2047u]++] = k;
+    for (const Item& k : items) scratch[start[(k.key >> shift) & 2047u]++] = k;
     items.swap(scratch);
   }
 }

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 
+#include "order.h"
 #include "parallel.h"
 
 namespace lodpipe {
@@ -23,18 +24,6 @@ uint64_t spread(uint64_t v) {  // 21 bits to every third place
   v = (v | v << 8) & 0x100F00F00F00F00Full;
   v = (v | v << 4) & 0x10C30C30C30C30C3ull;
   return (v | v << 2) & 0x1249249249249249ull;
-}
-
-template <class Item>
-void sort_by_key(std::vector<Item>& items) {
-  std::vector<Item> scratch(items.size());
-  for (int shift = 0; shift < 63; shift += 11) {
-    std::array<uint32_t, 2049> start{};
-    for (const Item& k : items) ++start[((k.key >> shift) & 2047u) + 1];
-    for (int i = 0; i < 2048; ++i) start[i + 1] += start[i];
-    for (const Item& k : items) scratch[start[(k.key >> shift) & 2047u]++] = k;
-    items.swap(scratch);
-  }
 }
 
 Point point(const float* p) { return {p[0], p[1], p[2]}; }
@@ -96,7 +85,10 @@ TriangleTree::TriangleTree(const float* positions, const int32_t* faces, int cou
                   f};
     }
   }
-  sort_by_key(order);
+  {
+    decltype(order) scratch;
+    radix_sort(order, scratch);
+  }
   corners_.resize(9 * static_cast<size_t>(count));
   face_.resize(count);
   row_.resize(count);
