@@ -31,6 +31,8 @@ class Cost {
   virtual ~Cost() = default;
   // Of a planned collapse, ≥ 0 but for the image metric; several threads may ask at the same time.
   virtual double evaluate(const Collapse& c, CostScratch& s) const = 0;
+  // Whether a cost stays the same until something changes in the region.
+  virtual bool lasts() const { return true; }
   // Called before the mesh carries the collapse out.
   virtual void commit(const Collapse& c, CostScratch& s) = 0;
 };

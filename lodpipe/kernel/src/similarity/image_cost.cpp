@@ -32,6 +32,8 @@ class ImageCost final : public Cost {
     for (View& view : views_) draw(view, scratch);
   }
 
+  bool lasts() const override { return false; }  // another region may lie in front of the same pixels
+
   double evaluate(const Collapse& c, CostScratch& s) const override {
     double sum = 0;
     for (const View& view : views_)

@@ -19,7 +19,42 @@ int wrapped(int64_t i, int size, int mode) {
   return static_cast<int>(r < size ? r : period - 1 - r);
 }
 
+using Mask = int __attribute__((vector_size(16)));
+
+// What four triangles cover of the plane that blocks are compared in, as Rays::bounds; whether no ray goes there.
+Mask bound(const Rays& rays, const Lanes* corner, Lanes range[4]) {
+  range[0] = range[2] = Lanes{} + kHuge, range[1] = range[3] = Lanes{} - kHuge;
+  Mask behind{};
+  for (int k = 0; k < 3; ++k, corner += 3) {
+    const Lanes x = corner[0] - rays.origin.x, y = corner[1] - rays.origin.y, z = corner[2] - rays.origin.z;
+    const auto along = [&](Vec3 axis) { return x * axis.x + y * axis.y + z * axis.z; };
+    const Lanes depth = -along(rays.back), over = 1 / depth, across = along(rays.right) * over, above = along(rays.up) * over;
+    behind |= ~(depth > 1e-2f);  // beside or behind the viewpoint: may be anywhere
+    range[0] = across < range[0] ? across : range[0], range[1] = across > range[1] ? across : range[1];
+    range[2] = above < range[2] ? above : range[2], range[3] = above > range[3] ? above : range[3];
+  }
+  for (int k = 0; k < 4; ++k) {
+    const float side = k % 2 ? 1 : -1;
+    range[k] = (behind ? Lanes{} + side * kHuge : range[k]) + side * kSlack;
+  }
+  return (range[0] > rays.all[1]) | (range[1] < rays.all[0]) | (range[2] > rays.all[3]) | (range[3] < rays.all[2]);
+}
+
 }  // namespace
+
+void Patch::pack() {
+  const size_t groups = (look.size() + 3) / 4;
+  four.resize(9 * groups);
+  for (size_t g = 0; g < groups; ++g)
+    for (size_t lane = 0; lane < 4; ++lane) {
+      const Vec3* corner = &x[3 * std::min(4 * g + lane, look.size() - 1)];
+      for (size_t k = 0; k < 3; ++k) {
+        four[9 * g + 3 * k][lane] = corner[k].x;
+        four[9 * g + 3 * k + 1][lane] = corner[k].y;
+        four[9 * g + 3 * k + 2][lane] = corner[k].z;
+      }
+    }
+}
 
 void Shading::texel(const Look& look, float u, float v, float out[2]) const {
   out[0] = out[1] = 1;
@@ -30,14 +65,17 @@ void Shading::texel(const Look& look, float u, float v, float out[2]) const {
   if (image.nearest) x = std::floor(x + 0.5f), y = std::floor(y + 0.5f);
   const float left = std::floor(x), top = std::floor(y), fx = x - left, fy = y - top;
   const auto i = static_cast<int64_t>(left), j = static_cast<int64_t>(top);
+  const auto blend = [&](const uint8_t* a, const uint8_t* b, const uint8_t* c, const uint8_t* d) {
+    const auto f = [](uint8_t texel) { return static_cast<float>(texel); };
+    for (int k = 0; k < 2; ++k)
+      out[k] = ((f(a[k]) * (1 - fx) + f(b[k]) * fx) * (1 - fy) + (f(c[k]) * (1 - fx) + f(d[k]) * fx) * fy) / 255;
+  };
+  const auto at = [&](int64_t row, int64_t column) { return &image.texels[2 * (row * image.width + column)]; };
+  if (i >= 0 && j >= 0 && i + 1 < image.width && j + 1 < image.height)
+    return blend(at(j, i), at(j, i + 1), at(j + 1, i), at(j + 1, i + 1));
   const int column[2] = {wrapped(i, image.width, image.wrap_u), wrapped(i + 1, image.width, image.wrap_u)};
   const int row[2] = {wrapped(j, image.height, image.wrap_v), wrapped(j + 1, image.height, image.wrap_v)};
-  const auto at = [&](int r, int c, int k) {
-    return static_cast<float>(image.texels[2 * (static_cast<size_t>(row[r]) * image.width + column[c]) + k]);
-  };
-  for (int k = 0; k < 2; ++k)
-    out[k] = ((at(0, 0, k) * (1 - fx) + at(0, 1, k) * fx) * (1 - fy) + (at(1, 0, k) * (1 - fx) + at(1, 1, k) * fx) * fy) /
-             255;
+  blend(at(row[0], column[0]), at(row[0], column[1]), at(row[1], column[0]), at(row[1], column[1]));
 }
 
 void Rays::aim(Vec3 from, const std::vector<Vec3>& samples) {
@@ -87,25 +125,17 @@ void Rays::within(float radius) {
   }
 }
 
-void Caster::cast(const Rays& rays, const Patch& patch) {
+void Caster::cast(const Rays& rays, Patch& patch) {
+  if (patch.four.empty()) patch.pack();
   const int count = patch.size(), blocks = static_cast<int>(rays.bounds.size() / 4);
   planes_.clear(), bounds_.clear(), usable_.clear();
+  Lanes range[4];
+  Mask outside{};
   for (int t = 0; t < count; ++t) {
+    if (t % 4 == 0) outside = bound(rays, &patch.four[9 * static_cast<size_t>(t / 4)], range);
+    if (outside[t % 4]) continue;
     const Vec3 *corner = &patch.x[3 * static_cast<size_t>(t)], o = rays.origin;
     const Vec3 a = corner[0] - o, b = corner[1] - o, c = corner[2] - o;
-    float range[4] = {kHuge, -kHuge, kHuge, -kHuge};
-    for (const Vec3 d : {a, b, c}) {
-      const float depth = -dot(d, rays.back);
-      if (!(depth > 1e-2f)) {  // beside or behind the viewpoint: may be anywhere
-        range[0] = range[2] = -kHuge, range[1] = range[3] = kHuge;
-        break;
-      }
-      const float over = 1 / depth, across = dot(d, rays.right) * over, above = dot(d, rays.up) * over;
-      range[0] = std::min(range[0], across), range[1] = std::max(range[1], across);
-      range[2] = std::min(range[2], above), range[3] = std::max(range[3], above);
-    }
-    for (int k = 0; k < 4; ++k) range[k] += k % 2 ? kSlack : -kSlack;
-    if (range[0] > rays.all[1] || range[1] < rays.all[0] || range[2] > rays.all[3] || range[3] < rays.all[2]) continue;
     Plane plane;
     // b × c = b × (c − b): differences first keep the digits of small triangles
     plane.n[0] = cross(b, corner[2] - corner[1]);
@@ -117,13 +147,12 @@ void Caster::cast(const Rays& rays, const Patch& patch) {
       for (Vec3& n : plane.n) n = n * -1.0f;
     plane.per_volume = 1 / std::abs(volume);
     planes_.push_back(plane);
-    bounds_.insert(bounds_.end(), range, range + 4);
+    for (const Lanes& lanes : range) bounds_.push_back(lanes[t % 4]);
     usable_.push_back(t);
   }
   inverse_.resize(rays.x.size());
   triangle_.resize(rays.x.size());
   constexpr int kWide = kBlock / 4;
-  using Mask = int __attribute__((vector_size(16)));
   for (int block = 0; block < blocks; ++block) {
     const size_t start = static_cast<size_t>(block) * kBlock;
     const float* range = &rays.bounds[4 * static_cast<size_t>(block)];

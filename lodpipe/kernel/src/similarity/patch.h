@@ -36,8 +36,10 @@ struct Patch {
   std::vector<Vec3> x;
   std::vector<Corner> corners;
   std::vector<int32_t> look;
+  std::vector<Lanes> four;  // `x` of four triangles at a time: nine coordinates; the last four are filled up
   int size() const { return static_cast<int>(look.size()); }
-  void clear() { x.clear(), corners.clear(), look.clear(); }
+  void clear() { x.clear(), corners.clear(), look.clear(), four.clear(); }
+  void pack();              // fills `four`, once all triangles are there
 };
 
 // Rays from one viewpoint through sample points, in blocks; the last block is filled up.
@@ -67,7 +69,7 @@ struct Hit {
 // Finds the nearest hits of rays with patches.
 class Caster {
  public:
-  void cast(const Rays& rays, const Patch& patch);
+  void cast(const Rays& rays, Patch& patch);
   Hit hit(const Rays& rays, const Patch& patch, int ray) const;  // with the patch that was cast on
   int triangle(int ray) const { return triangle_[ray]; }
   // Whether the ray meets something at least as near as 1 / inverse.

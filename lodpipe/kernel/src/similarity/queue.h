@@ -1,6 +1,7 @@
 // A priority queue whose entries may be dirty: their cost is out of date, and is worked out again only when they come
 // to the front (lazy evaluation; Cohen, Manocha & Olano 1997).
 #pragma once
+#include <algorithm>
 #include <cstdint>
 #include <vector>
 
@@ -16,6 +17,23 @@ class LazyQueue {
   bool dirty(int32_t id) const { return dirty_[id]; }
   bool has(int32_t id) const { return place_[id] != kAbsent; }
   double cost(int32_t id) const { return cost_[id]; }
+
+  // Adds entries that are `wanted`, in order, until there are `most`, or after a hundred others.
+  template <class Wanted>
+  void ahead(size_t most, const Wanted& wanted, std::vector<int32_t>& out) {
+    size_t others = 0;
+    const auto later = [&](int32_t a, int32_t b) { return before(heap_[b], heap_[a]); };
+    walk_.assign(heap_.empty() ? 0 : 1, 0);
+    while (!walk_.empty() && out.size() < most && others < 100) {
+      std::pop_heap(walk_.begin(), walk_.end(), later);
+      const int32_t at = walk_.back(), count = static_cast<int32_t>(heap_.size());
+      walk_.pop_back();
+      if (wanted(heap_[at])) out.push_back(heap_[at]);
+      else ++others;
+      for (const int32_t child : {2 * at + 1, 2 * at + 2})
+        if (child < count) walk_.push_back(child), std::push_heap(walk_.begin(), walk_.end(), later);
+    }
+  }
 
   // Puts the entry in, or moves it to its new cost: clean.
   void set(int32_t id, double cost) {
@@ -61,7 +79,7 @@ class LazyQueue {
   }
 
   std::vector<double> cost_;
-  std::vector<int32_t> place_, heap_;
+  std::vector<int32_t> place_, heap_, walk_;
   std::vector<uint8_t> dirty_;
 };
 

@@ -61,7 +61,7 @@ class RayCost final : public Cost {
       scan_lines((mesh_.p[v[0]] - center) * scale, (mesh_.p[v[1]] - center) * scale, (mesh_.p[v[2]] - center) * scale,
                  step * scale, s.samples);
     }
-    const Patch& reference = local ? s.before : s.original;
+    Patch& reference = local ? s.before : s.original;
     const Frame frame(axis);
     double sum = 0;
     for (const Point& direction : directions_) {

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <limits>
 
 #include "../parallel.h"
@@ -13,8 +14,10 @@
 namespace lodpipe::similarity {
 namespace {
 
+constexpr size_t kAhead = 4;           // costs a thread that are worked out at a time
 constexpr int kGrain = 64;            // candidates a piece of parallel work
 constexpr size_t kBetweenCalls = 2048;  // faces of regions that are looked at between two calls of `progress`
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 constexpr double kNever = std::numeric_limits<double>::infinity();
 
 struct Scratch {
@@ -53,7 +56,7 @@ class Simplifier {
              const std::function<bool(int64_t, int64_t)>& progress)
       : input_(input), options_(options), progress_(progress), mesh_(input), planner_(mesh_, options, scene),
         cost_(make_cost(mesh_, scene, options)), candidates_(all_candidates(mesh_, options.full)),
-        touching_(mesh_.p.size()), queue_(candidates_.size()), gone_(candidates_.size(), 0) {
+        touching_(mesh_.p.size()), queue_(candidates_.size()), ready_(candidates_.size(), kUnknown), pool_(std::max(options.threads, 1)), gone_(candidates_.size(), 0) {
     for (size_t i = 0; i < candidates_.size(); ++i)
       for (const int32_t v : {candidates_[i].from, candidates_[i].to}) touching_[v].push_back(static_cast<int32_t>(i));
     start_ = mesh_.triangles;
@@ -102,7 +105,6 @@ class Simplifier {
 
   // All costs, several threads at a time. False if the caller wants no more.
   bool evaluate_all() {
-    Pool pool(std::max(options_.threads, 1));
     std::vector<double> costs(candidates_.size(), kNever);
     size_t begin = 0;
     while (begin < candidates_.size()) {
@@ -110,7 +112,7 @@ class Simplifier {
       size_t end = begin;
       for (size_t work = 0; end < candidates_.size() && work < 8 * kBetweenCalls; ++end)
         work += mesh_.ring[candidates_[end].from].size();
-      pool.range(static_cast<int>(end - begin), kGrain, [&](int from, int to) {
+      pool_.range(static_cast<int>(end - begin), kGrain, [&](int from, int to) {
         thread_local Scratch s;
         bool exists;
         for (size_t i = begin + from; i < begin + to; ++i)
@@ -140,9 +142,29 @@ class Simplifier {
       if (!exists) gone_[id] = 1;
     } else if (queue_.dirty(id)) {
       ++out_.evaluations;
-      queue_.set(id, evaluate(scratch_));
+      if (std::isnan(ready_[id])) prepare(id);
+      queue_.set(id, ready_[id]);
     } else collapse(queue_.cost(id));
     return Stop::triangles;
+  }
+
+  // Costs of the candidate at the front and, with several threads, of dirty ones behind it, which are likely to be asked
+  // for next. The order of collapses is the same: `soil` takes back what a collapse nearby has made out of date.
+  void prepare(int32_t id) {
+    batch_.assign(1, id);
+    if (pool_.threads() > 1 && cost_->lasts()) {
+      batch_.clear();
+      queue_.ahead(kAhead * pool_.threads(), [&](int32_t i) { return queue_.dirty(i) && std::isnan(ready_[i]); }, batch_);
+    }
+    if (batch_.size() < 2) {
+      ready_[id] = evaluate(scratch_);
+      return;
+    }
+    pool_.run(static_cast<int>(batch_.size()), [&](int i) {
+      thread_local Scratch s;
+      bool exists;
+      if (plan(candidates_[batch_[i]], s, &exists) == Stop::triangles) ready_[batch_[i]] = evaluate(s);
+    });
   }
 
   void collapse(double cost) {
@@ -165,7 +187,12 @@ class Simplifier {
     changed_.erase(std::unique(changed_.begin(), changed_.end()), changed_.end());
     for (const int32_t v : changed_)
       for (const int32_t id : touching_[v])
-        if (options_.full || candidates_[id].from == v) queue_.soil(id);
+        if (options_.full || candidates_[id].from == v) soil(id);
+  }
+
+  void soil(int32_t id) {
+    queue_.soil(id);
+    ready_[id] = kUnknown;
   }
 
   // The whole component goes.
@@ -222,7 +249,7 @@ class Simplifier {
     refused_ = {};
     bool any = false;
     for (size_t i = 0; i < candidates_.size(); ++i)
-      if (!gone_[i]) queue_.soil(static_cast<int32_t>(i)), any = true;
+      if (!gone_[i]) soil(static_cast<int32_t>(i)), any = true;
     return any ? Stop::triangles : holding();
   }
 
@@ -243,7 +270,10 @@ class Simplifier {
   std::vector<Candidate> candidates_;
   std::vector<std::vector<int32_t>> touching_;  // candidates at each vertex
   LazyQueue queue_;
-  std::vector<uint8_t> gone_;  // candidates that are no more
+  std::vector<double> ready_;   // costs of dirty candidates that are known before they come to the front
+  std::vector<int32_t> batch_;
+  Pool pool_;
+  std::vector<uint8_t> gone_;   // candidates that are no more
   std::vector<int32_t> changed_;
   Scratch scratch_;
   Outcome out_;
