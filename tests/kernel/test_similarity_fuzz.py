@@ -66,6 +66,10 @@ def cases(draw):
 def check(case):
     positions, faces, targets, appearance, options, arrays = case
     result = similarity_decimate(positions, faces, targets, appearance, options, threads=2, **arrays)
+    alone = similarity_decimate(positions, faces, targets, appearance, options, threads=1, **arrays)
+    for one, two in zip(alone.levels, result.levels, strict=True):
+        assert np.array_equal(one.faces, two.faces) and np.array_equal(one.positions, two.positions)
+        assert np.array_equal(one.values, two.values)
     solid = (np.sort(faces, axis=1)[:, :-1] != np.sort(faces, axis=1)[:, 1:]).all(axis=1)
     previous = int(solid.sum())
     for target, level in zip(targets, result.levels, strict=True):

@@ -142,8 +142,9 @@ class Simplifier {
       if (!exists) gone_[id] = 1;
     } else if (queue_.dirty(id)) {
       ++out_.evaluations;
-      if (std::isnan(ready_[id])) prepare(id);
-      queue_.set(id, ready_[id]);
+      // what a whole component costs may change without anything near the candidate: it is small, asked for at once
+      if (!scratch_.collapse.whole && std::isnan(ready_[id])) prepare(id);
+      queue_.set(id, scratch_.collapse.whole ? evaluate(scratch_) : ready_[id]);
     } else collapse(queue_.cost(id));
     return Stop::triangles;
   }
