@@ -82,6 +82,11 @@ def decimate_asset(
     looks best. `unseen` (`Sight.of`) judges targets in pixels, and has to be given for them if the asset has textures.
     Raises InvalidMesh for a target out of range, Cancelled when `cancelled` says so.
     """
+
+    def check() -> None:
+        if cancelled():
+            raise Cancelled("cancelled")
+
     options = options or QuadricOptions()
     source = Lod(meshes=asset.meshes)
     visual = metric == "visual" and isinstance(options, QuadricOptions)
@@ -91,8 +96,7 @@ def decimate_asset(
     joined = Joined.of(asset)
     if visual:
         joined = joined.seen(vertex_visibility(asset, threads))
-        if cancelled():
-            raise Cancelled("cancelled")
+    check()
     fixed = source.triangles - len(joined.faces)
     counts = [_count(goal, source.triangles) for goal in targets]
     wanted = sorted({max(c - fixed, 0) for c in counts if c is not None}, reverse=True)
@@ -120,8 +124,10 @@ def decimate_asset(
     else:
         options = replace(options, record=options.record or by_error, keep_last=fixed == 0)
         content = Content.of(asset, pixels or {}, coarsest, threads) if visual else None
+        check()
         for number, way in enumerate(ways):
             run = _Pass.of(asset, joined, options, weights, content, way, coarsest, threads)
+            check()
             found = run.levels(goals, partial(step, number=number))
             if any(level.stop == "cancelled" for level in found.levels) or cancelled():
                 raise Cancelled("cancelled")
@@ -150,8 +156,7 @@ def decimate_asset(
         if jury is None:
             lods += candidates
             continue
-        if cancelled():
-            raise Cancelled("cancelled")
+        check()
         least = min(lod.triangles for lod in candidates)
         candidates = [lod for lod in candidates if lod.triangles <= max(least, count)]
         lods.append(candidates[jury.best([asset.at(lod) for lod in candidates])])
