@@ -35,7 +35,7 @@ ONLY_IN: dict[str, str | tuple[str, ...]] = {
     "open3d": "lodpipe/o3d.py",
     "lodpipe.kernel._native": (
         "lodpipe/kernel/__init__.py",
-        *(f"lodpipe/kernel/{name}.py" for name in ("layout", "surfaces", "tables")),
+        *(f"lodpipe/kernel/{name}.py" for name in ("layout", "pictures", "surfaces", "tables")),
     ),
     "sqlite3": "lodpipe/service/",
     "signal": "lodpipe/service/",

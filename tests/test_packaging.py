@@ -92,7 +92,7 @@ EXTRAS = ("dask", "heat")
 
 def test_every_imported_package_is_a_declared_dependency():
     """A package that only happens to come along with another one may be gone tomorrow."""
-    names = {"yaml": "pyyaml", "PIL": "pillow", "DracoPy": "dracopy", "flip_evaluator": "flip-evaluator"}
+    names = {"yaml": "pyyaml", "PIL": "pillow", "DracoPy": "dracopy"}
     lines = PROJECT["dependencies"] + [line for extra in EXTRAS for line in PROJECT["optional-dependencies"][extra]]
     declared = {re.split(r"[<>=; ]", line)[0].removesuffix("-cpu") for line in lines}
     used = {item.target.split(".")[0] for name, path in modules(REPO).items() for item in imports(path, name)}

@@ -16,7 +16,8 @@ from lodpipe.geometry.render import as_bytes, finished
 from lodpipe.geometry.sheet import contact_sheet
 from lodpipe.geometry.slip import Slip, texture_slip
 from lodpipe.geometry.texture import U8, Textures
-from lodpipe.geometry.visible import Sight, shrunk
+from lodpipe.geometry.visible import Sight
+from lodpipe.kernel.pictures import shrunk
 
 Progress = Callable[[float, float], None]
 

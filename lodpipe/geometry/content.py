@@ -199,5 +199,6 @@ def _barycentric(e1: F64, e2: F64, step: F64) -> F64:
 def _colours(model: Model, faces: I32, weights: F64, width: F64 | float = 0.0) -> F64:
     """RGB (N, 3) at places of faces, through a filter `width` radii wide; looked at from straight above."""
     pixel = np.broadcast_to(np.asarray(width, np.float32), (len(faces),))
-    spots = Spots(faces.astype(np.int32), weights.astype(np.float32), -model.geometric_normals(faces), pixel)
+    normals = model.geometric_normals(faces)
+    spots = Spots(faces.astype(np.int32), weights.astype(np.float32), -normals, pixel, normals)
     return model.colours(spots)[:, :3].astype(np.float64)

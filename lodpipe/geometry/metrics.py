@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodpipe.core.mesh import F32
+from lodpipe.kernel.pictures import flip, ssim
 
 Bool = NDArray[np.bool_]
 
@@ -18,7 +19,11 @@ LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 """Rec. 709 weights, applied to sRGB values."""
 SIGMA, RADIUS = 1.5, 5
 """SSIM's Gaussian window: 11 × 11 (Wang et al. 2004)."""
-C1, C2 = 0.01**2, 0.03**2
+TAPS = np.exp(-0.5 * np.square(np.arange(RADIUS + 1) / SIGMA))
+TAPS = (TAPS / (2 * TAPS.sum() - TAPS[0])).astype(np.float32)
+"""Half of the window, from its middle outwards."""
+DENSITY = 67.0
+"""Pixels a degree for FLIP: a screen 0.7 m wide with 3840 pixels, 0.7 m away, as its authors propose."""
 SCALES = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 """MS-SSIM's exponents (Wang, Simoncelli & Bovik 2003)."""
 SMALLEST = 2 * RADIUS + 1
@@ -91,7 +96,7 @@ def difference(a: F32, b: F32, shown: Bool, *, scales: bool = True, flip: bool =
     sums.luminance = float(np.square(luma_a - luma_b, dtype=np.float64).sum())
     sums.colour = float(np.square((a - b)[shown], dtype=np.float64).sum()) / 3
     if min(shown.shape) >= SMALLEST:
-        sums.ssim = [float(ssim_maps(luma_a, luma_b)[0][shown].mean())]
+        sums.ssim = [ssim(luma_a, luma_b, shown, TAPS)[0]]
         sums.ms_ssim = [ms_ssim(luma_a, luma_b, shown)] * scales
     if flip:
         sums.flip = [float(flip_map(a, b)[shown].mean())]
@@ -108,19 +113,6 @@ def crop_box(shown: Bool) -> tuple[slice, slice]:
     return around(rows), around(columns)
 
 
-def ssim_maps(a: F32, b: F32) -> tuple[F32, F32]:
-    """Structural similarity at each pixel, and its contrast-and-structure part: (H, W) float32 each, up to 1.
-
-    Wang, Bovik, Sheikh & Simoncelli 2004, equations 13 and 14, with their Gaussian window; the borders are mirrored.
-    """
-    mean_a, mean_b = _blurred(a), _blurred(b)
-    square_a, square_b, product = mean_a * mean_a, mean_b * mean_b, mean_a * mean_b
-    variance = _blurred(a * a + b * b) - square_a - square_b
-    covariance = _blurred(a * b) - product
-    structure = (2 * covariance + np.float32(C2)) / (np.maximum(variance, 0) + np.float32(C2))
-    return structure * (2 * product + np.float32(C1)) / (square_a + square_b + np.float32(C1)), structure
-
-
 def ms_ssim(a: F32, b: F32, shown: Bool) -> float:
     """Multi-scale SSIM over the pixels `shown`, 0…1: each scale's mean, to the power of its weight, multiplied.
 
@@ -133,9 +125,8 @@ def ms_ssim(a: F32, b: F32, shown: Bool) -> float:
     weights = np.array(SCALES[:steps]) / sum(SCALES[:steps])
     result = 1.0
     for step, weight in enumerate(weights):
-        whole, structure = ssim_maps(a, b)
-        figure = whole if step == steps - 1 else structure
-        result *= max(float(figure[shown].mean()), 0.0) ** float(weight)
+        whole, structure = ssim(a, b, shown, TAPS)
+        result *= max(whole if step == steps - 1 else structure, 0.0) ** float(weight)
         if step < steps - 1:
             a, b, shown = _halved(a), _halved(b), _halved(shown.astype(np.float32)) > 0
     return result
@@ -144,13 +135,9 @@ def ms_ssim(a: F32, b: F32, shown: Bool) -> float:
 def flip_map(a: F32, b: F32) -> F32:
     """FLIP (H, W) float32, 0…1: how different two pictures look when one takes the other's place, 67 pixels a degree.
 
-    Andersson et al. 2020, "FLIP: a difference evaluator for alternating images", by the authors' library.
+    Andersson et al. 2020, "FLIP: a difference evaluator for alternating images"; the authors' library agrees.
     """
-    from flip_evaluator import evaluate
-
-    pair = (np.ascontiguousarray(np.clip(x, 0, 1), np.float32) for x in (a, b))
-    error, _, _ = evaluate(*pair, "LDR", applyMagma=False, computeMeanError=False)
-    return np.asarray(error, np.float32).reshape(a.shape[:2])
+    return flip(a, b, DENSITY)
 
 
 def facing_angles(a: F32, b: F32) -> float:
@@ -158,24 +145,6 @@ def facing_angles(a: F32, b: F32) -> float:
     apart = a - b
     half = np.sqrt(np.einsum("nd,nd->n", apart, apart, dtype=np.float64)) / 2
     return float(np.degrees(2 * np.arcsin(np.minimum(half, 1.0))).sum())
-
-
-def _blurred(image: F32) -> F32:
-    """`image` (H, W) under SSIM's Gaussian window."""
-    taps = np.exp(-0.5 * np.square(np.arange(RADIUS + 1) / SIGMA))
-    taps = (taps / (2 * taps.sum() - taps[0])).astype(np.float32)
-    for axis in (0, 1):
-        size = image.shape[axis]
-        padded = np.pad(image, [(RADIUS, RADIUS) if k == axis else (0, 0) for k in (0, 1)], mode="symmetric")
-
-        def shifted(by: int, padded: F32 = padded, axis: int = axis, size: int = size) -> F32:
-            start = RADIUS + by
-            return padded[start : start + size] if axis == 0 else padded[:, start : start + size]
-
-        image = taps[0] * shifted(0)
-        for k in range(1, RADIUS + 1):
-            image += taps[k] * (shifted(-k) + shifted(k))
-    return image
 
 
 def _halved(image: F32) -> F32:

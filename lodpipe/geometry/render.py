@@ -6,17 +6,18 @@ shadows, no reflections. Colours are worked on in linear light and stored as sRG
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodpipe.core.mesh import F32, I32
+from lodpipe.core.mesh import F32, F64, I32
 from lodpipe.geometry.camera import Camera
 from lodpipe.geometry.surface import Model, Spots
 from lodpipe.geometry.texture import U8, to_linear, to_srgb
+from lodpipe.kernel import pictures
 
 LIGHT = (0.93, 0.93, 0.93)
 DARK = (0.08, 0.08, 0.09)
@@ -153,14 +154,16 @@ def finished(premultiplied: F32, background: tuple[float, float, float] | None, 
 
     `linear` says whether the values are linear light that has to be encoded, or sRGB already.
     """
-    alpha = np.minimum(premultiplied[..., 3:], 1.0)
     if background is None:
+        alpha = np.minimum(premultiplied[..., 3:], 1.0)
         colour = premultiplied[..., :3] / np.maximum(premultiplied[..., 3:], np.float32(1e-6))
         return np.concatenate([to_srgb(colour) if linear else np.clip(colour, 0, 1), alpha], axis=-1)
-    behind = np.array(background, np.float64)
-    behind = (to_linear(behind) if linear else behind).astype(np.float32)
-    values = premultiplied[..., :3] + (1 - alpha) * behind
-    return to_srgb(values) if linear else np.clip(values, 0, 1)
+    return pictures.finished(premultiplied, ground(background, linear), linear)
+
+
+def ground(background: tuple[float, float, float], linear: bool) -> Sequence[float] | F64:
+    """A background's sRGB values as what a picture is laid over: linear light, or as they are."""
+    return to_linear(np.array(background)) if linear else background
 
 
 def normal_picture(seen: Buffers, camera: Camera) -> U8:
@@ -210,11 +213,13 @@ def _layers(
         if not len(rays):
             return
         distance, uv = hits.distance[rays], hits.uv[rays]
+        faces = hits.faces[rays]
         spots = Spots(
-            faces=hits.faces[rays],
+            faces=faces,
             weights=np.column_stack([1 - uv[:, 0] - uv[:, 1], uv]),
             directions=directions[rays],
             pixel=np.float32(constant) + np.float32(growing) * distance,
+            flat=model.geometric_normals(faces),
         )
         layer = _Layer(rays, spots, distance, model.colours(spots, only_alpha, style.cull))
         yield layer

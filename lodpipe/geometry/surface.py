@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from lodpipe.geometry.flatten import Soup, flatten
 from lodpipe.geometry.normals import crease_normals
 from lodpipe.geometry.tangents import corner_tangents
 from lodpipe.geometry.texture import NEAREST, REPEAT, Texture, Textures, chequer, to_srgb, uv_matrix
+from lodpipe.kernel.pictures import blended
 from lodpipe.kernel.surfaces import face_normals, raster
 
 if TYPE_CHECKING:
@@ -63,18 +64,27 @@ class Look:
 class Spots:
     """N places on a model's surface that rays have met.
 
-    faces (N,) int32, weights (N, 3) float32 barycentric, directions (N, 3) float32 of the rays, and pixel (N,)
-    float32: a pixel's width there, in radii of the model.
+    faces (N,) int32, weights (N, 3) float32 barycentric, directions (N, 3) float32 of the rays, pixel (N,) float32, a
+    pixel's width there in radii of the model, and flat (N, 3) float32, the faces' unit normals.
     """
 
     faces: I32
     weights: F32
     directions: F32
     pixel: F32
+    flat: F32
+    parted: list[tuple[int, NDArray[np.int64] | slice, Spots]] = field(default_factory=list)
+    """By look, its row, the spots' rows and the spots; filled by the model when it first asks."""
+
+    @cached_property
+    def cosine(self) -> F32:
+        """(N,) between the faces' normals and the rays: positive where the back is seen."""
+        product: F32 = np.einsum("nd,nd->n", self.flat, self.directions)
+        return product
 
     def take(self, rows: NDArray[np.int64]) -> Spots:
         """The spots of `rows`."""
-        return Spots(self.faces[rows], self.weights[rows], self.directions[rows], self.pixel[rows])
+        return Spots(self.faces[rows], self.weights[rows], self.directions[rows], self.pixel[rows], self.flat[rows])
 
 
 class Model:
@@ -111,7 +121,7 @@ class Model:
             if look.normal is not None:
                 self._tangents(look.normal.uv_name)
         self._attribute("COLOR_0")
-        self._corner_normals(np.arange(len(self.faces), dtype=np.int32))
+        assert self._normals is not None
         self.geometric_normals(np.zeros(1, np.int32))
 
     def first_hits(self, camera: Camera, width: int, height: int, rows: slice, behind: F32 | None = None) -> Hits:
@@ -160,9 +170,7 @@ class Model:
 
     def facing_normals(self, spots: Spots) -> F32:
         """(N, 3) float32 unit normals of the triangles, on the viewer's side."""
-        flat = self.geometric_normals(spots.faces)
-        behind = np.einsum("nd,nd->n", flat, spots.directions) > 0
-        return np.where(behind[:, None], -flat, flat)
+        return np.where((spots.cosine > 0)[:, None], -spots.flat, spots.flat)
 
     def shading_normals(self, spots: Spots, own: bool = True, mapped: bool = True) -> F32:
         """(N, 3) float32 unit normals on the viewer's side of the triangles.
@@ -170,13 +178,16 @@ class Model:
         The file's where a face has them, else from the triangles, smooth but for creases; with normal maps if
         `mapped`. `own` = False: all from the triangles.
         """
-        normals = _blend(self._corner_normals(spots.faces) if own else self._creased[spots.faces], spots.weights)
+        values, corners = self._normals if own else (self._creased.reshape(-1, 3), None)
+        normals = blended(values, corners, spots.faces, spots.weights)
         length = np.sqrt(np.einsum("nd,nd->n", normals, normals))
-        flat = self.geometric_normals(spots.faces)
-        normals = np.where(length[:, None] > 1e-6, normals / np.maximum(length, 1e-6)[:, None], flat)
+        normals /= np.maximum(length, np.float32(1e-6))[:, None]
+        none = length <= 1e-6
+        if none.any():
+            normals[none] = spots.flat[none]
         # the side of the triangle that is seen decides: a smooth normal may look past the silhouette
-        seen_from_behind = np.einsum("nd,nd->n", flat, spots.directions) > 0
-        against = np.einsum("nd,nd->n", normals, flat) < 0
+        seen_from_behind = spots.cosine > 0
+        against = np.einsum("nd,nd->n", normals, spots.flat) < 0
         if own and mapped:
             self._perturb(spots, normals)
         normals[seen_from_behind != against] *= -1
@@ -197,8 +208,7 @@ class Model:
             elif look.alpha_mode == "MASK":
                 rgba[rows, 3] = rgba[rows, 3] >= look.cutoff
             if cull and not look.double_sided:
-                towards = np.einsum("nd,nd->n", self.geometric_normals(own.faces), own.directions)
-                rgba[rows, 3] *= towards <= 0
+                rgba[rows, 3] *= own.cosine <= 0
         return rgba
 
     def unlit(self, spots: Spots) -> NDArray[np.bool_]:
@@ -227,9 +237,9 @@ class Model:
         colours = self._attribute("COLOR_0")
         if colours is not None:
             values, has = colours
-            blended = _blend(values[self.soup.wedges[spots.faces]], spots.weights)
-            blended[~has[spots.faces]] = 1.0
-            rgba[:, : blended.shape[1]] *= np.clip(blended, 0.0, 1.0)
+            seen = blended(values, self.soup.wedges, spots.faces, spots.weights)
+            seen[~has[spots.faces]] = 1.0
+            rgba[:, : seen.shape[1]] *= np.clip(seen, 0.0, 1.0)
         return rgba
 
     def _sampled(self, slot: Slot, spots: Spots, missing: float = 1.0) -> F32 | None:
@@ -238,7 +248,7 @@ class Model:
         if coordinates is None:
             return None
         values, has = coordinates
-        uv = _blend(values[self.soup.wedges[spots.faces]][:, :, :2], spots.weights)
+        uv = blended(values, self.soup.wedges, spots.faces, spots.weights)[:, :2]
         turned = 1.0
         if slot.uv_matrix is not None:
             uv = (uv @ slot.uv_matrix[:, :2].T + slot.uv_matrix[:, 2]).astype(np.float32)
@@ -261,12 +271,12 @@ class Model:
             seen = self._sampled(look.normal, own)
             if tangents is None or seen is None:
                 continue
-            blended = _blend(tangents[own.faces], own.weights)
-            n, t = normals[rows], blended[:, :3]
+            turned = blended(tangents.reshape(-1, 4), None, own.faces, own.weights)
+            n, t, side = normals[rows], turned[:, :3], turned[:, 3]
             t = t - np.einsum("nd,nd->n", n, t)[:, None] * n
             length = np.sqrt(np.einsum("nd,nd->n", t, t))
             t /= np.maximum(length, np.float32(1e-20))[:, None]
-            b = np.cross(n, t) * np.where(blended[:, 3] < 0, np.float32(-1), np.float32(1))[:, None]
+            b = np.cross(n, t) * np.where(side < 0, np.float32(-1), np.float32(1))[:, None]
             x, y, z = (seen[:, k, None] * np.float32(2) - np.float32(1) for k in range(3))
             scale = np.float32(look.normal_scale)
             turned = x * scale * t + y * scale * b + np.maximum(z, np.float32(1e-3)) * n
@@ -274,17 +284,20 @@ class Model:
             usable = (length > 1e-6) & np.isfinite(turned).all(axis=1)  # no tangent, no map
             normals[rows] = np.where(usable[:, None], turned, n)
 
-    def _corner_normals(self, faces: I32) -> F32:
-        """(N, 3, 3) float32: the normals at the corners of `faces`, the file's or made from the triangles."""
+    @cached_property
+    def _normals(self) -> tuple[F32, I32 | None]:
+        """The file's normals, or, where a corner has none, those made from the triangles; as `blended` takes them."""
         given = self._attribute("NORMAL")
         if given is None:
-            return self._creased[faces]
+            return self._creased.reshape(-1, 3), None
         values, has = given
-        corners = values[self.soup.wedges[faces]]
-        missing = ~has[faces] | ~np.all(np.any(corners, axis=2), axis=1)
+        if has.all() and values.any(axis=1).all():
+            return values, self.soup.wedges
+        corners = values[self.soup.wedges]
+        missing = ~has | ~np.all(np.any(corners, axis=2), axis=1)
         if missing.any():
-            corners[missing] = self._creased[faces[missing]]
-        return corners
+            corners[missing] = self._creased[missing]
+        return corners.reshape(-1, 3), None
 
     def _tangents(self, uv_name: str) -> F32 | None:
         """(F, 3, 4) float32: see `corner_tangents`; the file's where it has them. None if no face has such UVs."""
@@ -292,16 +305,17 @@ class Model:
             coordinates = self._attribute(uv_name)
             made = None
             if coordinates is not None:
-                every = np.arange(len(self.faces), dtype=np.int32)
                 uv = coordinates[0][self.soup.wedges][:, :, :2]
                 stored = self._attribute("TANGENT")
                 without = coordinates[1] if stored is None else coordinates[1] & ~stored[1]
                 rows = np.flatnonzero(without)
+                normals, corners = self._normals
+                normals = normals.reshape(-1, 3, 3) if corners is None else normals
                 made = np.zeros((len(self.faces), 3, 4), np.float32)
                 made[rows] = corner_tangents(
                     self.positions,
                     self.faces[rows],
-                    self._corner_normals(every)[rows],
+                    normals[rows] if corners is None else normals[corners[rows]],
                     np.nan_to_num(uv[rows], posinf=0.0, neginf=0.0),
                 )
                 if stored is not None:
@@ -311,12 +325,11 @@ class Model:
 
     def _footprint(self, uv_name: str, spots: Spots) -> F32:
         """(N,) float32: a pixel's width in UV space, the mean over its directions."""
-        cosine = np.abs(np.einsum("nd,nd->n", self.geometric_normals(spots.faces), spots.directions))
         # the more a face is turned away the more of it a pixel covers, but not without end
         few = uv_name not in self._densities and 8 * len(spots.faces) < len(self.faces)
         density = self._density_of(uv_name, spots.faces) if few else self._density(uv_name)[spots.faces]
-        footprint: F32 = spots.pixel * density / np.sqrt(np.maximum(cosine, 0.05))
-        return footprint
+        steep = np.sqrt(np.maximum(np.abs(spots.cosine), np.float32(0.05))).astype(np.float32)
+        return spots.pixel * density / steep
 
     def _density(self, uv_name: str) -> F32:
         """(F,) float32: a face's size in UV space over its size in radii, as lengths."""
@@ -339,14 +352,17 @@ class Model:
 
     def _by_material(self, spots: Spots) -> Iterator[tuple[Look, NDArray[np.int64] | slice, Spots]]:
         """Each look that `spots` have, the spots' rows, and the spots."""
-        kind = self._look_of[self.soup.face_material[spots.faces]]
-        kinds = np.flatnonzero(np.bincount(kind))
-        if len(kinds) == 1:
-            yield self.looks[kinds[0]], slice(None), spots
-            return
-        order = np.argsort(kind, kind="stable")
-        for rows in np.split(order, np.flatnonzero(np.diff(kind[order])) + 1):
-            yield self.looks[kind[rows[0]]], rows, spots.take(rows)
+        if not spots.parted:
+            kind = self._look_of[self.soup.face_material[spots.faces]]
+            kinds = np.flatnonzero(np.bincount(kind))
+            if len(kinds) == 1:
+                spots.parted.append((int(kinds[0]), slice(None), spots))
+            else:
+                order = np.argsort(kind.astype(np.int16 if len(self.looks) < 30_000 else np.int64), kind="stable")
+                for rows in np.split(order, np.flatnonzero(np.diff(kind[order])) + 1):
+                    spots.parted.append((int(kind[rows[0]]), rows, spots.take(rows)))
+        for row, own_rows, own in spots.parted:
+            yield self.looks[row], own_rows, own
 
     def _attribute(self, name: str) -> tuple[F32, NDArray[np.bool_]] | None:
         if name not in self._attributes:
@@ -439,9 +455,3 @@ def image_index(texture: Mapping[str, Any]) -> int | None:
         if isinstance(extension, Mapping) and "source" in extension:
             return int(extension["source"])
     return int(texture["source"]) if "source" in texture else None
-
-
-def _blend(corners: F32, weights: F32) -> F32:
-    """(N, K): values at three corners (N, 3, K), weighted (N, 3)."""
-    blended: F32 = corners[:, 0] * weights[:, :1] + corners[:, 1] * weights[:, 1:2] + corners[:, 2] * weights[:, 2:3]
-    return blended

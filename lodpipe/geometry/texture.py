@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lodpipe.core.material import TextureRef
 from lodpipe.core.mesh import F32, F64
+from lodpipe.kernel import pictures
 
 U8 = NDArray[np.uint8]
 
@@ -32,9 +33,7 @@ def to_linear(srgb: F64 | F32) -> F64:
 
 def to_srgb(linear: F64 | F32) -> F32:
     """sRGB values 0…1 from linear light, clipped to 0…1 (IEC 61966-2-1)."""
-    value = np.clip(np.asarray(linear, np.float32), 0.0, 1.0)
-    curve: F32 = np.float32(1.055) * value ** np.float32(1 / 2.4) - np.float32(0.055)
-    return np.where(value <= 0.0031308, value * np.float32(12.92), curve)
+    return pictures.to_srgb(np.asarray(linear, np.float32))
 
 
 _LINEAR = to_linear(np.arange(256) / 255).astype(np.float32)
@@ -61,7 +60,7 @@ class Texture:
     """
 
     def __init__(self, pixels: U8, srgb: bool = True, largest: int = LARGEST) -> None:
-        self._table = _LINEAR if srgb else _PLAIN
+        self.meaning = _LINEAR if srgb else _PLAIN
         self._srgb = srgb
         while max(pixels.shape[:2]) > largest:
             pixels = self._halved_bytes(pixels)
@@ -71,10 +70,13 @@ class Texture:
             levels.append(self._to_bytes(smaller))
             smaller = self._halved(smaller)
         self.height, self.width = levels[0].shape[:2]
-        self._heights = np.array([len(level) for level in levels], np.int32)
-        self._widths = np.array([level.shape[1] for level in levels], np.int32)
-        self._starts = np.cumsum([0, *(level.shape[0] * level.shape[1] for level in levels[:-1])])
-        self._texels = np.concatenate([level.reshape(-1, 4) for level in levels]).view(np.uint32)[:, 0]
+        self.levels = (
+            np.concatenate([level.reshape(-1, 4) for level in levels]),
+            np.cumsum([0, *(level.shape[0] * level.shape[1] for level in levels[:-1])]),
+            np.array([level.shape[1] for level in levels], np.int32),
+            np.array([len(level) for level in levels], np.int32),
+        )
+        """Texels (T, 4) of all levels, the finest first, where each begins, widths and heights."""
 
     def sample(
         self, uv: F32, footprint: F32 | None = None, wrap: tuple[int, int] = (REPEAT, REPEAT), nearest: bool = False
@@ -84,40 +86,7 @@ class Texture:
         `footprint` (N,) is the size of a pixel in texels of the full image: it chooses the mip level; None or 1 and
         less is the full image. `wrap` holds the modes along u and v. `nearest`: no blending between texels.
         """
-        uv = np.nan_to_num(uv, posinf=0.0, neginf=0.0)
-        if footprint is None:
-            return self._bilinear(np.zeros(len(uv), np.int64), uv, wrap, nearest)
-        level = np.log2(np.clip(np.nan_to_num(footprint), 1.0, None))
-        level = np.minimum(level, np.float32(len(self._heights) - 1))
-        lower = np.floor(level).astype(np.int64)
-        part = (level - lower).astype(np.float32)
-        result = self._bilinear(lower, uv, wrap, nearest)
-        between = np.flatnonzero(part)
-        coarse = self._bilinear(lower[between] + 1, uv[between], wrap, nearest)
-        result[between] += (coarse - result[between]) * part[between, None]
-        return result
-
-    def _bilinear(self, level: NDArray[np.int64], uv: F32, wrap: tuple[int, int], nearest: bool) -> F32:
-        width, height, start = self._widths[level], self._heights[level], self._starts[level]
-        x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
-        if nearest:
-            x, y = np.floor(x + 0.5), np.floor(y + 0.5)
-        left, top = np.floor(x), np.floor(y)
-        fx, fy = ((x - left)[:, None].astype(np.float32), (y - top)[:, None].astype(np.float32))
-        left, top = left.astype(np.int64), top.astype(np.int64)
-        x0, x1 = _wrapped(left, width, wrap[0]), _wrapped(left + 1, width, wrap[0])
-        y0, y1 = start + _wrapped(top, height, wrap[1]) * width, start + _wrapped(top + 1, height, wrap[1]) * width
-        upper = self._linear(y0 + x0) * (1 - fx) + self._linear(y0 + x1) * fx
-        lower = self._linear(y1 + x0) * (1 - fx) + self._linear(y1 + x1) * fx
-        result: F32 = upper * (1 - fy) + lower * fy
-        return result
-
-    def _linear(self, index: NDArray[np.int64]) -> F32:
-        """Linear RGBA (N, 4) of texels by their place in all levels."""
-        texels = self._texels[index].view(np.uint8).reshape(-1, 4)
-        values = self._table[texels]
-        values[:, 3] = _PLAIN[texels[:, 3]]
-        return values
+        return pictures.sampled(self.levels, self.meaning, uv, footprint, wrap, nearest)
 
     def _halved(self, image: U8 | F32) -> F32 | None:
         """Half as many rows and columns (rounded down), as linear floats; None for a single texel."""
@@ -147,7 +116,7 @@ class Texture:
         if image.dtype == np.float32:
             return image.astype(np.float32, copy=False)
         texels = image.astype(np.uint8, copy=False)
-        values = self._table[texels]
+        values = self.meaning[texels]
         values[..., 3] = _PLAIN[texels[..., 3]]
         return values
 
@@ -237,14 +206,3 @@ def _halve(values: F32, axis: int, size: int, start: int, count: int) -> F32:
     i = (np.arange(start, start + count, dtype=np.float32)).reshape(shape)
     result: F32 = (row(0) * (half - i) + row(1) * np.float32(half) + row(2) * (i + 1)) / np.float32(size)
     return result
-
-
-def _wrapped(index: NDArray[np.int64], size: NDArray[np.int32], mode: int) -> NDArray[np.int64]:
-    """Texel numbers in 0 … size − 1 for any integer."""
-    wrapped: NDArray[np.int64] = index % size
-    if mode == CLAMP:
-        wrapped = np.clip(index, 0, size - 1)
-    elif mode == MIRROR:
-        folded = index % (2 * size)
-        wrapped = np.minimum(folded, 2 * size - 1 - folded)
-    return wrapped

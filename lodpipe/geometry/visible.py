@@ -8,11 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from lodpipe.core.asset import Asset
-from lodpipe.core.mesh import F32
-from lodpipe.geometry.metrics import Bool, crop_box
 from lodpipe.geometry.pictures import MARGIN, Gallery, in_threads
-from lodpipe.geometry.render import finished
+from lodpipe.geometry.render import ground
 from lodpipe.geometry.switch import SCREEN_HEIGHT
+from lodpipe.kernel.pictures import seen_apart
 
 NOTICED = 6 / 255
 """Difference of an sRGB value from which two colours can be told apart when they lie side by side: about 2.3 CIELAB
@@ -75,18 +74,11 @@ class Sight:
 
         def part(view: int) -> float:
             background, linear = self.source.setup.background(view), self.source.setup.lighting.linear
-            shots = [gallery.shot(view, size).colours for gallery in (self.source, other)]
-            if shots[0] is shots[1] or np.array_equal(shots[0], shots[1]):
+            a, b = self.source.shot(view, size).colours, other.shot(view, size).colours
+            if a is b or np.array_equal(a, b):
                 return 0.0
-            pair = [phases(colours, height) for colours in shots]
-            covered = (pair[0][::2, ::2, 3] > 0) | (pair[1][::2, ::2, 3] > 0)
-            shown = np.count_nonzero(covered)
-            if not shown:
-                return 0.0
-            rows, columns = (slice(2 * part.start, 2 * part.stop - 1) for part in crop_box(covered))
-            mask = unexplained(*(finished(colours[rows, columns], background, linear) for colours in pair))
-            solid = mask[1:, 1:] & mask[:-1, 1:] & mask[1:, :-1] & mask[:-1, :-1]
-            return float(np.count_nonzero(solid) / shown)
+            shown, differ = seen_apart(a, b, height, ground(background, linear), linear, NOTICED)
+            return differ / shown if shown else 0.0
 
         return max(in_threads(part, self.source.setup.views, self.source.threads), default=0.0)
 
@@ -120,54 +112,3 @@ def coarsest(height_of: Callable[[int], float], wanted: float, known: dict[int, 
 def _between(low: float, differs_low: float, high: float, differs_high: float) -> float:
     """Where what differs passes SHARE, between a height where it is below and one where it is above."""
     return float(low * (high / low) ** ((SHARE - differs_low) / (differs_high - differs_low))) if low else 0.0
-
-
-def unexplained(a: F32, b: F32) -> Bool:
-    """Pixels (h, h) where one of two pictures cannot be made from the other by moving things up to one pixel.
-
-    Both are given in `phases` (2h − 1, 2h − 1, 3). A pixel is explained if each of its values lies, give or take
-    NOTICED, between the least and the greatest that the other picture has, at any phase, within one pixel of it: then
-    what is seen there has shifted by less than a pixel, or changed by less than can be noticed.
-    """
-    return _outside(a, b) | _outside(b, a)
-
-
-def _outside(a: F32, b: F32) -> Bool:
-    pixels = a[::2, ::2]
-    low, high = _extreme(b, np.minimum), _extreme(b, np.maximum)
-    outside = (pixels > high + np.float32(NOTICED)) | (pixels < low - np.float32(NOTICED))
-    return outside[..., 0] | outside[..., 1] | outside[..., 2]
-
-
-def _extreme(image: F32, pick: np.ufunc) -> F32:
-    """Of phases (2h − 1, 2h − 1, 3), the least or greatest within one pixel of each pixel (h, h, 3)."""
-    for axis in (0, 1):
-        padded = np.pad(image, [(2, 2) if k == axis else (0, 0) for k in range(3)], mode="edge")
-        length = image.shape[axis]
-        parts = [padded[k : k + length : 2] if axis == 0 else padded[:, k : k + length : 2] for k in range(5)]
-        image = parts[0].copy()
-        for part in parts[1:]:
-            pick(image, part, out=image)
-    return image
-
-
-def phases(colours: F32, height: int) -> F32:
-    """A premultiplied picture (S, S, 4) as it looks `height` pixels high, at the pixels' places and halfway between:
-    (2·height − 1, 2·height − 1, 4), each the mean of a pixel's area; pixels themselves are at even places.
-
-    So a picture that is shifted by half a pixel finds itself. A picture that has less than two rows a pixel is
-    stretched: means then reach a little farther.
-    """
-    fine = shrunk(colours, 2 * height)
-    rows = (fine[1:] + fine[:-1]) * np.float32(0.5)
-    return (rows[:, 1:] + rows[:, :-1]) * np.float32(0.5)
-
-
-def shrunk(colours: F32, size: int) -> F32:
-    """A premultiplied picture (S, S, 4) in `size` rows: each pixel is the mean of its area."""
-    from PIL import Image
-
-    if size == len(colours):
-        return colours
-    planes = [Image.fromarray(np.ascontiguousarray(colours[:, :, k])) for k in range(4)]
-    return np.stack([np.asarray(plane.resize((size, size), Image.Resampling.BOX)) for plane in planes], axis=2)

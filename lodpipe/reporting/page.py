@@ -197,7 +197,7 @@ def _shown(page: Page) -> dict[str, Any]:
 
 def _packed(content: bytes) -> str:
     """`content` compressed and in letters; the same for the same content."""
-    return base64.b64encode(gzip.compress(content, 6, mtime=0)).decode()
+    return base64.b64encode(gzip.compress(content, 2, mtime=0)).decode()  # more makes rounded numbers no smaller
 
 
 def _data_url(picture: Picture) -> str:

@@ -192,6 +192,8 @@ def _linear(colours: U8) -> U8:
 
 def _bound(page: Page) -> None:
     """Keep the page small: leave out layers first, then the finest models."""
+    if sum(map(len, page.files.values())) <= MAX_BYTES:
+        return
     sizes = {name: len(zlib.compress(data, 1)) for name, data in page.files.items()}
 
     def size() -> int:

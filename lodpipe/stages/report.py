@@ -34,7 +34,7 @@ class ReportParams(Params):
     """Longer side of the textures in these models, in pixels, at most."""
 
 
-@stage("report", version=2)
+@stage("report", version=3)
 def report(asset: Asset, params: ReportParams, context: Context) -> Asset:
     """Measure each level against the source: distances in % of the diagonal, normals, and what is seen.
 

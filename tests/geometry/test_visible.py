@@ -15,8 +15,16 @@ from lodpipe.core.mesh import Mesh
 from lodpipe.geometry.decimate import decimate, decimate_asset
 from lodpipe.geometry.pictures import Gallery, Setup
 from lodpipe.geometry.texture import Textures
-from lodpipe.geometry.visible import HEIGHTS, NOTICED, Sight, coarsest, phases, shrunk, unexplained
+from lodpipe.geometry.visible import HEIGHTS, NOTICED, Sight, coarsest
+from lodpipe.kernel import picture_reference
+from lodpipe.kernel.picture_reference import phases
+from lodpipe.kernel.pictures import shrunk
 from meshes import sphere
+
+
+def unexplained(a, b):
+    return picture_reference.unexplained(a, b, NOTICED)
+
 
 SETUP = Setup(views=4, size=256)
 

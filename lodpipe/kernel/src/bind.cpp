@@ -1,4 +1,4 @@
-// The only file that knows of Python: converts and nothing else.
+// What knows of Python: this and bind_pictures.cpp convert and do nothing else.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/function.h>
@@ -7,6 +7,7 @@
 
 #include <memory>
 
+#include "bind.h"
 #include "decimate.h"
 #include "fit.h"
 #include "normals.h"
@@ -23,19 +24,9 @@ using namespace nb::literals;
 
 namespace {
 
-template <class T>
-using Table = nb::ndarray<const T, nb::numpy, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-template <class T>
-using Column = nb::ndarray<const T, nb::numpy, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
-// A NumPy array that owns the vector's memory; `width` columns, or one-dimensional for 0.
-template <class T>
-nb::object give(std::vector<T>& values, size_t width) {
-  auto* held = new std::vector<T>(std::move(values));
-  nb::capsule owner(held, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
-  if (!width) return nb::cast(nb::ndarray<nb::numpy, T>(held->data(), {held->size()}, owner));
-  return nb::cast(nb::ndarray<nb::numpy, T>(held->data(), {held->size() / width, width}, owner));
-}
+using lodpipe::binding::Column;
+using lodpipe::binding::give;
+using lodpipe::binding::Table;
 
 nb::dict level(lodpipe::Level& l, size_t columns) {
   nb::dict d;
@@ -584,4 +575,5 @@ NB_MODULE(_native, m) {
         "values"_a.noconvert(), "column_weights"_a.noconvert(), "importance"_a.noconvert().none(),
         "locked"_a.noconvert().none(), "face_look"_a.noconvert(), "looks"_a.noconvert(), "images"_a, "wraps"_a.noconvert(),
         "shade_column"_a, "uv_column"_a, "options"_a);
+  lodpipe::binding::bind_pictures(m);
 }

@@ -29,6 +29,26 @@ struct Edge {
   double operator()(double x, double y) const { return sign * (dx * (y - a.y) - dy * (x - a.x)); }
 };
 
+// Pixels of which something is looked for: all, or those where `behind` is finite.
+struct Window {
+  int left, top, right, bottom;  // the last two are the last
+};
+
+Window window(const float* behind, int width, int rows) {
+  if (!behind) return {0, 0, width - 1, rows - 1};
+  Window found{width, rows, -1, -1};
+  for (int y = 0; y < rows; ++y)
+    for (int x = 0; x < width; ++x)
+      if (std::isfinite(behind[static_cast<size_t>(y) * width + x])) {
+        found.top = std::min(found.top, y), found.bottom = y;
+        found.left = std::min(found.left, x), found.right = std::max(found.right, x);
+      }
+  return found;
+}
+
+int floor_of(double x) { return static_cast<int>(x); }  // of a number that is not negative
+int ceil_of(double x) { return static_cast<int>(x) + (x > static_cast<int>(x)); }
+
 }  // namespace
 
 Raster raster(const float* positions, int vertices, const int32_t* faces, int count, const RasterView& view,
@@ -51,17 +71,18 @@ Raster raster(const float* positions, int vertices, const int32_t* faces, int co
   out.face.assign(pixels, -1);
   out.uv.assign(2 * pixels, 0.0f);
   const double across = 2 * view.size / view.height;  // of a pixel, at a depth of 1
+  const Window in = window(behind, view.width, rows);
   for (int f = 0; f < count; ++f) {
     const int32_t* v = faces + 3 * static_cast<size_t>(f);
     const Seen &a = seen[v[0]], &b = seen[v[1]], &c = seen[v[2]];
     // pixels whose centres lie within the box
     const double left = std::min({a.x, b.x, c.x}), right = std::max({a.x, b.x, c.x});
     const double above = std::min({a.y, b.y, c.y}), below = std::max({a.y, b.y, c.y});
-    if (!(right >= 0.5 && below >= 0.5 && left <= view.width - 0.5 && above <= rows - 0.5)) continue;
-    const int x0 = static_cast<int>(std::ceil(std::max(left - 0.5, 0.0)));
-    const int y0 = static_cast<int>(std::ceil(std::max(above - 0.5, 0.0)));
-    const int x1 = static_cast<int>(std::floor(std::min(right - 0.5, view.width - 1.0)));
-    const int y1 = static_cast<int>(std::floor(std::min(below - 0.5, rows - 1.0)));
+    if (!(right >= in.left + 0.5 && below >= in.top + 0.5 && left <= in.right + 0.5 && above <= in.bottom + 0.5)) continue;
+    const int x0 = ceil_of(std::max(left - 0.5, static_cast<double>(in.left)));
+    const int y0 = ceil_of(std::max(above - 0.5, static_cast<double>(in.top)));
+    const int x1 = floor_of(std::min(right - 0.5, static_cast<double>(in.right)));
+    const int y1 = floor_of(std::min(below - 0.5, static_cast<double>(in.bottom)));
     if (x0 > x1 || y0 > y1) continue;
     const Edge bc(seen.data(), v[1], v[2]), ca(seen.data(), v[2], v[0]), ab(seen.data(), v[0], v[1]);
     const double whole = ab(c.x, c.y);
