@@ -83,8 +83,8 @@ def decimate_asset(
     Raises InvalidMesh for a target out of range, Cancelled when `cancelled` says so.
     """
 
-    def check() -> None:
-        if cancelled():
+    def check(levels: Sequence[kernel.Level] = ()) -> None:
+        if any(level.stop == "cancelled" for level in levels) or cancelled():
             raise Cancelled("cancelled")
 
     options = options or QuadricOptions()
@@ -118,8 +118,7 @@ def decimate_asset(
     if isinstance(options, SimilarityOptions):
         options = replace(options, record=options.record or by_error, keep_last=fixed == 0)
         result: kernel.Decimation = decimate_joined(asset, joined, goals, options, pixels or {}, threads, step)
-        if any(level.stop == "cancelled" for level in result.levels) or cancelled():
-            raise Cancelled("cancelled")
+        check(result.levels)
         made.append({level.target: level for level in result.levels})
     else:
         options = replace(options, record=options.record or by_error, keep_last=fixed == 0)
@@ -129,8 +128,7 @@ def decimate_asset(
             run = _Pass.of(asset, joined, options, weights, content, way, coarsest, threads)
             check()
             found = run.levels(goals, partial(step, number=number))
-            if any(level.stop == "cancelled" for level in found.levels) or cancelled():
-                raise Cancelled("cancelled")
+            check(found.levels)
             if number == 0:
                 result, refine = found, partial(run.fitted, cancelled=cancelled)
             made.append({level.target: run.fitted(level, cancelled) for level in found.levels})

@@ -121,7 +121,7 @@ class Model:
             if look.normal is not None:
                 self._tangents(look.normal.uv_name)
         self._attribute("COLOR_0")
-        assert self._normals is not None
+        _ = self._normals
         self.geometric_normals(np.zeros(1, np.int32))
 
     def first_hits(self, camera: Camera, width: int, height: int, rows: slice, behind: F32 | None = None) -> Hits:

@@ -70,13 +70,12 @@ class Texture:
             levels.append(self._to_bytes(smaller))
             smaller = self._halved(smaller)
         self.height, self.width = levels[0].shape[:2]
-        self.levels = (
+        self.levels: pictures.Mips = (
             np.concatenate([level.reshape(-1, 4) for level in levels]),
             np.cumsum([0, *(level.shape[0] * level.shape[1] for level in levels[:-1])]),
             np.array([level.shape[1] for level in levels], np.int32),
             np.array([len(level) for level in levels], np.int32),
         )
-        """Texels (T, 4) of all levels, the finest first, where each begins, widths and heights."""
 
     def sample(
         self, uv: F32, footprint: F32 | None = None, wrap: tuple[int, int] = (REPEAT, REPEAT), nearest: bool = False

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lodpipe.core.mesh import F32, I32
-from lodpipe.kernel.pictures import Bool, Colour
+from lodpipe.kernel.pictures import Bool, Colour, Mips
 
 C1, C2 = 0.01**2, 0.03**2
 """SSIM's constants, for values of 0…1."""
@@ -93,14 +93,7 @@ def blended(values: F32, corners: I32 | None, faces: I32, weights: F32) -> F32:
     return mean
 
 
-def sampled(
-    levels: tuple[NDArray[np.uint8], NDArray[np.int64], I32, I32],
-    meaning: F32,
-    uv: F32,
-    footprint: F32 | None,
-    wrap: tuple[int, int],
-    nearest: bool,
-) -> F32:
+def sampled(levels: Mips, meaning: F32, uv: F32, footprint: F32 | None, wrap: tuple[int, int], nearest: bool) -> F32:
     """See `lodpipe.kernel.pictures.sampled`."""
     uv = np.nan_to_num(uv, posinf=0.0, neginf=0.0)
     level = np.zeros(len(uv), np.float32)
@@ -142,12 +135,7 @@ def _blurred(image: F32, taps: F32) -> F32:
 
 
 def _bilinear(
-    levels: tuple[NDArray[np.uint8], NDArray[np.int64], I32, I32],
-    meaning: F32,
-    level: NDArray[np.int64],
-    uv: F32,
-    wrap: tuple[int, int],
-    nearest: bool,
+    levels: Mips, meaning: F32, level: NDArray[np.int64], uv: F32, wrap: tuple[int, int], nearest: bool
 ) -> F32:
     texels, starts, widths, heights = levels
     width, height = widths[level], heights[level]

@@ -18,6 +18,8 @@ from lodpipe.kernel import _column, _indices, _native, _table
 
 Bool = NDArray[np.bool_]
 Colour = Sequence[float] | NDArray[np.float64]
+Mips = tuple[NDArray[np.uint8], NDArray[np.int64], I32, I32]
+"""Texels (T, 4) of all levels of a texture, the finest first, where each level begins, widths and heights."""
 
 
 def to_srgb(linear: F32) -> F32:
@@ -81,17 +83,9 @@ def blended(values: F32, corners: I32 | None, faces: I32, weights: F32) -> F32:
     return cast(F32, found)
 
 
-def sampled(
-    levels: tuple[NDArray[np.uint8], NDArray[np.int64], I32, I32],
-    meaning: F32,
-    uv: F32,
-    footprint: F32 | None,
-    wrap: tuple[int, int],
-    nearest: bool,
-) -> F32:
+def sampled(levels: Mips, meaning: F32, uv: F32, footprint: F32 | None, wrap: tuple[int, int], nearest: bool) -> F32:
     """(N, 4) float32 of a texture at `uv` (N, 2): trilinear between mip levels, bilinear within one.
 
-    levels     texels (T, 4) of all levels one after the other, where each begins, widths, heights; the finest first
     meaning    (256,) what a byte of a colour means; alpha is 0…1
     footprint  (N,) size of a pixel in texels of the finest level, None: 1
     wrap       glTF's numbers for u and v

@@ -20,6 +20,14 @@ REPO = Path(__file__).parents[2]
 SCHEMA = json_schema(BUILTIN)
 
 
+def stages_of(steps):
+    return [step.stage.name for step in steps]
+
+
+def stages_named(data):
+    return [entry if isinstance(entry, str) else next(iter(entry)) for entry in data["stages"]]
+
+
 def test_the_committed_schema_is_fresh():
     committed = (REPO / "config" / "chain.schema.json").read_text(encoding="utf-8")
     assert committed == schema_text(BUILTIN), "stale; run: lodpipe schema > config/chain.schema.json"
@@ -33,8 +41,10 @@ def test_it_is_a_schema_of_its_draft():
 @pytest.mark.parametrize("name", presets.names())
 def test_presets_are_valid_and_load(name):
     text = (presets.FOLDER / f"{name}.yaml").read_text(encoding="utf-8")
-    jsonschema.validate(yaml.safe_load(text), SCHEMA)
-    bind(presets.find(name), BUILTIN)
+    data = yaml.safe_load(text)
+    jsonschema.validate(data, SCHEMA)
+    _, steps = bind(presets.find(name), BUILTIN)
+    assert stages_of(steps) == stages_named(data)
 
 
 @pytest.mark.parametrize(
@@ -74,8 +84,9 @@ def test_what_the_program_refuses_the_schema_refuses(data):
     ],
 )
 def test_what_the_program_takes_the_schema_takes(data):
-    bind(Source("x", data), BUILTIN)
     jsonschema.validate(data, SCHEMA)
+    _, steps = bind(Source("x", data), BUILTIN)
+    assert stages_of(steps) == stages_named(data)
 
 
 def test_parameters_have_descriptions():

@@ -376,7 +376,7 @@ SimilarityInput similarity_input(const Table<double>& positions, const Table<int
   for (size_t i = 0; i < images.size(); ++i) {
     const int32_t* wrap = wraps.data() + 3 * i;
     out.scene.images.push_back({static_cast<int>(images[i].shape(1)), static_cast<int>(images[i].shape(0)),
-                                images[i].data(), wrap[0], wrap[1], wrap[2] != 0});
+                                images[i].data(), static_cast<lodpipe::Wrap>(wrap[0]), static_cast<lodpipe::Wrap>(wrap[1]), wrap[2] != 0});
   }
   return out;
 }

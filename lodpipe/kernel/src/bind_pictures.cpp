@@ -21,6 +21,9 @@ Ground ground(const Column<float>& colour, bool linear) {
   return {{colour.data()[0], colour.data()[1], colour.data()[2]}, linear};
 }
 
+// Of glTF's number; what is unknown repeats, as glTF's default.
+Wrap wrap(int number) { return number == 33071 ? Wrap::clamp : number == 33648 ? Wrap::mirror : Wrap::repeat; }
+
 nb::object srgb(Column<float> linear) {
   std::vector<float> out(linear.size());
   {
@@ -97,7 +100,7 @@ nb::object sampled(Table<uint8_t> texels, Column<int64_t> start, Column<int32_t>
   {
     nb::gil_scoped_release release;
     const MipTexels texture{texels.data(),  start.data(), width.data(), height.data(), static_cast<int>(start.size()),
-                            meaning.data(), wrap_u,       wrap_v,       nearest};
+                            meaning.data(), wrap(wrap_u), wrap(wrap_v), nearest};
     sample(texture, uv.data(), footprint ? footprint->data() : nullptr, static_cast<int64_t>(uv.shape(0)), out.data());
   }
   return give(out, 4);

@@ -12,7 +12,6 @@ namespace {
 
 constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;  // of structural similarity
 constexpr int kMargin = 16;                                // around what is shown: beyond it lies ground in both
-constexpr int kClamp = 33071, kMirror = 33648;
 
 using Plane = std::vector<float>;
 
@@ -111,15 +110,6 @@ void outside(Extremes& picture, Extremes& other, int line, const Ground& ground,
       const float value = pixels[6 * x + k], low = least[6 * x + k], high = greatest[6 * x + k];
       if (value > high ? seen(value) > seen(high) + noticed : value < low && seen(value) < seen(low) - noticed) mask[x] = 1;
     }
-}
-
-int wrapped(int64_t index, int size, int mode) {
-  if (index >= 0 && index < size) return static_cast<int>(index);
-  if (mode == kClamp) return index < 0 ? 0 : size - 1;
-  const int64_t period = mode == kMirror ? 2 * static_cast<int64_t>(size) : size;
-  int64_t within = index % period;
-  if (within < 0) within += period;
-  return static_cast<int>(mode == kMirror ? std::min(within, period - 1 - within) : within);
 }
 
 void bilinear(const MipTexels& t, int level, float u, float v, float* out) {

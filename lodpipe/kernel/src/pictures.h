@@ -3,6 +3,8 @@
 #pragma once
 #include <cstdint>
 
+#include "wrap.h"
+
 namespace lodpipe {
 
 // What a premultiplied picture stands on, linear or as `linear` says: see `finish`.
@@ -49,7 +51,7 @@ struct MipTexels {
   const int32_t *width, *height;
   int levels;
   const float* meaning;  // (256,) of colours; alpha is plain
-  int wrap_u, wrap_v;    // glTF's numbers
+  Wrap wrap_u, wrap_v;
   bool nearest;
 };
 // (count, 4) at `uv` (count, 2), v = 0 at the top; `footprint` (count,) is a pixel's size in texels, null: 1.

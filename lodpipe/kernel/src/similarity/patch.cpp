@@ -10,15 +10,6 @@ namespace {
 constexpr float kHuge = 1e30f;
 constexpr float kSlack = 1e-5f;  // by which bounds are widened: rounding must not lose a hit
 
-int wrapped(int64_t i, int size, int mode) {
-  if (i >= 0 && i < size) return static_cast<int>(i);
-  if (mode == 2) return static_cast<int>(std::clamp<int64_t>(i, 0, size - 1));
-  const int64_t period = mode == 1 ? 2 * static_cast<int64_t>(size) : size;
-  int64_t r = i % period;
-  if (r < 0) r += period;
-  return static_cast<int>(r < size ? r : period - 1 - r);
-}
-
 using Mask = int __attribute__((vector_size(16)));
 
 // What four triangles cover of the plane that blocks are compared in, as Rays::bounds; whether no ray goes there.

@@ -14,7 +14,7 @@
 namespace lodpipe::similarity {
 namespace {
 
-constexpr size_t kAhead = 4;           // costs a thread that are worked out at a time
+constexpr size_t kAhead = 4;            // costs a thread that are worked out at a time
 constexpr int kGrain = 64;            // candidates a piece of parallel work
 constexpr size_t kBetweenCalls = 2048;  // faces of regions that are looked at between two calls of `progress`
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
@@ -56,7 +56,8 @@ class Simplifier {
              const std::function<bool(int64_t, int64_t)>& progress)
       : input_(input), options_(options), progress_(progress), mesh_(input), planner_(mesh_, options, scene),
         cost_(make_cost(mesh_, scene, options)), candidates_(all_candidates(mesh_, options.full)),
-        touching_(mesh_.p.size()), queue_(candidates_.size()), ready_(candidates_.size(), kUnknown), pool_(std::max(options.threads, 1)), gone_(candidates_.size(), 0) {
+        touching_(mesh_.p.size()), queue_(candidates_.size()), ready_(candidates_.size(), kUnknown),
+        pool_(std::max(options.threads, 1)), gone_(candidates_.size(), 0) {
     for (size_t i = 0; i < candidates_.size(); ++i)
       for (const int32_t v : {candidates_[i].from, candidates_[i].to}) touching_[v].push_back(static_cast<int32_t>(i));
     start_ = mesh_.triangles;
@@ -271,10 +272,10 @@ class Simplifier {
   std::vector<Candidate> candidates_;
   std::vector<std::vector<int32_t>> touching_;  // candidates at each vertex
   LazyQueue queue_;
-  std::vector<double> ready_;   // costs of dirty candidates that are known before they come to the front
+  std::vector<double> ready_;  // costs of dirty candidates that are known before they come to the front
   std::vector<int32_t> batch_;
   Pool pool_;
-  std::vector<uint8_t> gone_;   // candidates that are no more
+  std::vector<uint8_t> gone_;  // candidates that are no more
   std::vector<int32_t> changed_;
   Scratch scratch_;
   Outcome out_;

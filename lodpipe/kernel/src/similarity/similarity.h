@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "../decimate.h"
+#include "../wrap.h"
 
 namespace lodpipe::similarity {
 
@@ -38,7 +39,7 @@ struct Options {
 struct Image {
   int width, height;
   const uint8_t* texels;        // height × width × 2: luminance, alpha
-  int wrap_u = 0, wrap_v = 0;   // 0 repeat, 1 mirror, 2 clamp
+  Wrap wrap_u = Wrap::repeat, wrap_v = Wrap::repeat;
   bool nearest = false;
 };
 
